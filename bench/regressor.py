@@ -4,7 +4,7 @@
 alone. Calls alternate, and medians of processor time are compared. The second table is of chains
 of revolute joints, whose rows have the most non-zeros.
 
-Usage: .venv/bin/python bench/regressor.py [--samples 128] [--repeats 25] [--plot FILE.svg]
+Usage: .venv/bin/python bench/regressor.py [--samples 256] [--repeats 25] [--plot FILE.svg]
 """
 
 import argparse
@@ -38,7 +38,7 @@ JOINTS = 6, 12, 20, 30, 40, 60
 def main() -> None:
     """Time legged robots and chains of joints."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--samples", type=int, default=128, help="samples in a block")
+    options.add_argument("--samples", type=int, default=256, help="samples in a block")
     options.add_argument("--repeats", type=int, default=25, help="repetitions of each call")
     options.add_argument("--plot", type=Path, help="SVG of the growth with the number of joints")
     given = options.parse_args()

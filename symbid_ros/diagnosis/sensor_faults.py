@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray, distinct
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity
 from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.streams import Stream, Streams
@@ -276,6 +276,10 @@ class ExtremeCounts:
         lowest, highest = extreme_values.min(), extreme_values.max()
         places = np.flatnonzero((values >= lowest) & (values <= highest))
         found = values[places]
+        if len(places) == len(extreme_values):  # each value occurs once
+            self.counts.update(extreme_values.tolist())
+            self.longest = dict.fromkeys(extreme_values.tolist(), 1) | self.longest
+            return
         for value in extreme_values.tolist():
             at = places[found == value]
             ends = np.flatnonzero(np.diff(at) > 1)
@@ -327,10 +331,10 @@ class SaturationDetector:
     def _add(self, topic: str, name: str, values: FloatArray, moving: BoolArray) -> None:
         values = values[moving & np.isfinite(values)]
         if self.values[topic, name] < VALUES:
-            distinct = max(len(np.unique(some)) for some in (values[:MANY], values[-MANY:]))
-            if distinct < VALUES:
-                distinct = len(np.unique(values))
-            self.values[topic, name] = max(self.values[topic, name], distinct)
+            count = max(len(distinct(some)) for some in (values[:MANY], values[-MANY:]))
+            if count < VALUES:
+                count = len(distinct(values))
+            self.values[topic, name] = max(self.values[topic, name], count)
         for sign in (1, -1):
             extreme_values = sign * _largest(sign * values, NEXT_VALUES + 1)
             extreme = self.extremes.setdefault((topic, name, sign), ExtremeCounts())
@@ -367,11 +371,11 @@ def _largest(values: FloatArray, count: int) -> FloatArray:
     """Return the largest distinct values, at most ``count`` of them."""
     # Distinct values are found among few, because sorting all of them takes long.
     some = np.partition(values, -MANY)[-MANY:] if len(values) > MANY else values
-    distinct = np.unique(some)
+    found = distinct(some)
     # The smallest of the few may be followed by equal ones, but not by larger ones.
-    if len(distinct) < count and len(some) < len(values):
-        distinct = np.unique(values)
-    return distinct[-count:]
+    if len(found) < count and len(some) < len(values):
+        found = distinct(values)
+    return found[-count:]
 
 
 def channels(streams: Streams) -> Iterator[tuple[str, list[str], IntArray, FloatArray]]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from symbid_ros.arrays import IntArray
+from symbid_ros.arrays import IntArray, distinct
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity, StreamFigures
 from symbid_ros.signals.defects import find_gaps
 
@@ -54,7 +54,7 @@ class TimingCheck:
         self.messages += len(stamps)
         if not len(stamps):
             return
-        ordered = np.unique(stamps)
+        ordered = distinct(stamps)
         if self.last is not None:
             ordered = np.append(self.last, ordered[ordered > self.last])
         self.first = int(ordered[0]) if self.first is None else self.first

@@ -11,7 +11,7 @@ import logging
 import os
 import weakref
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from types import ModuleType
 from typing import Any
 
@@ -68,6 +68,11 @@ class PackedLayout:
     column: IntArray
     place: IntArray
     joints: tuple[Any, ...]
+
+    @cached_property
+    def order(self) -> IntArray:
+        """(w,) places of the non-zeros among themselves."""
+        return np.arange(len(self))
 
     @classmethod
     def of(cls, parameters: ParameterSet) -> "PackedLayout":
@@ -132,21 +137,23 @@ def dense_rows(parameters: ParameterSet, samples: Samples) -> tuple[FloatArray, 
     """Return K (N, n, p) with zeros beside its inertial columns, and y (N, n)."""
     model = parameters.model
     K = np.empty((len(samples), model.dof, len(parameters)))
-    if _kernel() is None:
+    kernel = _kernel()
+    if kernel is None:
         K[:, :, parameters.inertial :] = 0.0
         return K, _fill_by_numpy(parameters, samples, K[:, :, : parameters.inertial])
     rows = K.reshape(len(samples), model.dof * len(parameters))
-    return K, _evaluate(parameters, samples, rows=(PackedLayout.of(parameters).place, rows))
+    places = PackedLayout.of(parameters).place
+    return K, _evaluate(kernel, parameters, samples, rows=(places, rows))
 
 
 def packed_rows(parameters: ParameterSet, samples: Samples) -> tuple[FloatArray, FloatArray]:
     """Return the packed inertial columns (N, w) and y (N, n); see :class:`PackedLayout`."""
-    layout = PackedLayout.of(parameters)
-    if _kernel() is None:
+    layout, kernel = PackedLayout.of(parameters), _kernel()
+    if kernel is None:
         K, y = dense_rows(parameters, samples)
         return K[:, layout.row, layout.column], y
     rows = np.empty((len(samples), len(layout)))
-    return rows, _evaluate(parameters, samples, rows=(np.arange(len(layout)), rows))
+    return rows, _evaluate(kernel, parameters, samples, rows=(layout.order, rows))
 
 
 def averaged_rows(
@@ -172,17 +179,17 @@ def averaged_rows(
     forces : (V, N, n) float64
         K φ of each of the parameters.
     """
-    layout = PackedLayout.of(parameters)
+    layout, kernel = PackedLayout.of(parameters), _kernel()
     sums = np.zeros((weights.shape[0], len(layout)))
     forces = np.empty((len(phi), len(samples), parameters.model.dof))
-    if _kernel() is None:
+    if kernel is None:
         y = np.empty((len(samples), parameters.model.dof))
         for part in cache_blocks(len(samples), len(parameters.model.links)):
             K, y[part] = dense_rows(parameters, samples[part])
             sums += weights[:, part] @ K[:, layout.row, layout.column]
             forces[:, part] = np.moveaxis(K[:, :, : parameters.inertial] @ phi.T, 2, 0)
         return sums, y, forces
-    y = _evaluate(parameters, samples, sums=(weights, sums), forces=(phi, forces))
+    y = _evaluate(kernel, parameters, samples, sums=(weights, sums), forces=(phi, forces))
     return sums, y, forces
 
 
@@ -227,6 +234,7 @@ def _loaded_kernel(choice: str) -> ModuleType | None:
 
 
 def _evaluate(
+    kernel: ModuleType,
     parameters: ParameterSet,
     samples: Samples,
     *,
@@ -235,8 +243,6 @@ def _evaluate(
     forces: tuple[FloatArray, FloatArray] | None = None,
 ) -> FloatArray:
     """Let the kernel write rows, sums over windows or forces, and return y (N, n)."""
-    kernel = _kernel()
-    assert kernel is not None
     model, count = parameters.model, len(samples)
     layout = PackedLayout.of(parameters)
     motion = kernel.Motion(

@@ -181,6 +181,8 @@ class Rows:
 
     def masked(self, valid: BoolArray) -> "Rows":
         """Return the rows with zeros where ``valid`` (N, n) is false."""
+        if valid.all():
+            return self
         return Rows(self.K * valid[:, :, None], self.y * valid)
 
 

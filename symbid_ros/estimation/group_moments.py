@@ -128,7 +128,7 @@ class GroupMoments:
         for rows, valid, stamp in blocks:
             group = (stamp // SECOND) % GROUPS
             np.add.at(counts, group, valid)
-            members = [(one, group == one) for one in np.unique(group)]
+            members = [(one, np.flatnonzero(group == one)) for one in set(group.tolist())]
             for each, part in zip(sums, self.parts, strict=True):
                 columns = self.layout.columns[part.coordinate]
                 flat = np.column_stack(

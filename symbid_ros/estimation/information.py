@@ -26,6 +26,9 @@ from symbid_ros.estimation.qr_update import fold_rows
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
+# Rows that are folded at once: LAPACK takes half the time per row for many as for few.
+ROWS_AT_ONCE = 512
+
 INCOMPATIBLE = "information about different robots or parameters cannot be merged"
 
 
@@ -229,14 +232,19 @@ class Information:
             When a row is not finite, because one NaN would destroy all information.
         """
         factor, samples = self.factor.copy(order="F"), self.samples
+        waiting: list[FloatArray] = []
         for rows in blocks:
             flat = self.layout.flatten(rows)
             if not np.all(np.isfinite(flat)):
                 raise DataError(
                     "a sample of the equation of motion is not finite; mask it first", "E413"
                 )
-            factor = _updated(factor, flat)
+            waiting.append(flat)
             samples += len(flat)
+            if sum(map(len, waiting)) >= ROWS_AT_ONCE:
+                factor, waiting = _updated(factor, np.concatenate(waiting)), []
+        if waiting:
+            factor = _updated(factor, np.concatenate(waiting))
         return Information(self.layout, factor, samples)
 
     def discounted(self, share: float) -> "Information":

@@ -15,8 +15,9 @@ from symbid_ros.signals.weak_form import WindowedRows
 P = ParamSpec("P")
 Rows = tuple[WindowedRows, ...]
 
-# Blocks whose rows are folded at once: each fold copies the factors.
-BATCH = 2
+# Rows that are folded at once, at least: each fold copies the factors, and few rows take LAPACK
+# longer per row. Many would take memory.
+BATCH = 256
 RELEASE_PERIOD = 4  # blocks after which freed memory is released
 
 
@@ -105,7 +106,7 @@ class FoldingPool:
     def _add(self, windows: Sequence[float], rows: Rows) -> None:
         for window, part in zip(windows, rows, strict=True):
             self._batch[window].append(part)
-            if len(self._batch[window]) >= BATCH:
+            if sum(len(each.stamp) for each in self._batch[window]) >= BATCH:
                 self._fold(window)
         self._added += 1
         if self._added % RELEASE_PERIOD == 0:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray, distinct
 from symbid_ros.dynamics.unmeasured_contacts import MOST_FLAGGED
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
@@ -229,7 +229,7 @@ def resampling_margin(topics: Iterable[IntArray]) -> int:
     topics : iterable of (N,) int64
         Stamps of each topic, ns.
     """
-    steps = [np.diff(np.unique(stamp)) for stamp in topics]
+    steps = [np.diff(distinct(stamp)) for stamp in topics]
     periods = [float(np.median(each)) for each in steps if len(each)]
     needed = round(SAMPLES_PER_MARGIN * max(periods, default=0.0))
     return min(max(MARGIN, needed), LONGEST_MARGIN)

@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, IntArray
+from symbid_ros.arrays import BoolArray, IntArray, distinct
 from symbid_ros.errors import DataError
 
 logger = logging.getLogger("symbid_ros.bags")
@@ -193,7 +193,7 @@ class Gaps:
 def find_gaps(stamps: IntArray) -> Gaps:
     """Find the gaps in stamps (N,), ns in order of arrival."""
     disordered = int(np.count_nonzero(np.diff(stamps) <= 0))
-    step = np.diff(np.unique(stamps))
+    step = np.diff(distinct(stamps))
     if not len(step):
         return Gaps(0, 0, 0, 0, disordered)
     period = int(np.median(step))
