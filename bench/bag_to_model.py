@@ -67,7 +67,7 @@ def main() -> None:
 def kept_or_temporary(folder: Path | None) -> Iterator[Path]:
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-        yield folder
+        yield folder.resolve()
     else:
         with tempfile.TemporaryDirectory() as temporary:
             yield Path(temporary)
@@ -89,7 +89,7 @@ def compare(
             programs[f"symbid identify --jobs {count}"] = identify(bag, folder, count)
         if checkout is not None:
             programs["other checkout"] = identify(bag, folder, None)
-        environments = {"other checkout": {"PYTHONPATH": str(checkout)}}
+        environments = {"other checkout": {"PYTHONPATH": str(checkout and checkout.resolve())}}
         measured = in_turn(programs, environments, repeats)
         reference = np.median([usage.wall for usage in measured["peer script"]])
         for name, usages in measured.items():
@@ -162,6 +162,7 @@ def run(command: list[str], environment: dict[str, str]) -> Usage:
         env=os.environ | environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
+        cwd=environment.get("PYTHONPATH"),  # Python looks for packages there first
         start_new_session=True,
     )
     with SessionMemory(process.pid) as memory:

@@ -2,7 +2,8 @@
 
 "Dense" fills an array (N, n, p), as Pinocchio's loop does. "Packed" are the structural non-zeros
 alone. Calls alternate, and medians of processor time are compared. The second table is of chains
-of revolute joints, whose rows have the most non-zeros.
+of revolute joints, whose rows have the most non-zeros. "Averaged" are the means over a window that
+identification uses, which need no rows of single samples.
 
 Usage: .venv/bin/python bench/regressor.py [--samples 256] [--repeats 25] [--plot FILE.svg]
 """
@@ -14,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio
+from scipy.sparse import csr_array
 from tables import markdown, save_plot
 from threadpoolctl import threadpool_limits
 
-from symbid_ros.dynamics.inertial_rows import dense_rows, packed_rows
+from symbid_ros.dynamics.inertial_rows import averaged_rows, dense_rows, packed_rows
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -45,15 +47,16 @@ def main() -> None:
     with threadpool_limits(1):
         print(comparison(given.samples, given.repeats))
         print()
-        growth = {count: own(chain(count), given.samples) for count in JOINTS}
+        growth = {count: of_chain(count, given.samples) for count in JOINTS}
     times = {
         count: microseconds(calls, given.samples, given.repeats) for count, calls in growth.items()
     }
-    rows = [(count, packed, dense) for count, (packed, dense) in times.items()]
-    print(markdown(("joints of a chain", "packed (µs)", "dense (µs)"), rows, 3))
+    kinds = "averaged", "packed", "dense"
+    rows = [(count, *each) for count, each in times.items()]
+    print(markdown(("joints of a chain", *(f"{kind} (µs)" for kind in kinds)), rows, 3))
     if given.plot:
-        packed, dense = zip(*times.values(), strict=True)
-        lines = {"packed, µs per sample": packed, "dense, µs per sample": dense}
+        columns = zip(*times.values(), strict=True)
+        lines = {f"{kind}, µs per sample": one for kind, one in zip(kinds, columns, strict=True)}
         save_plot(given.plot, "joints", JOINTS, lines)
 
 
@@ -98,6 +101,19 @@ def own(model: RobotModel, count: int) -> tuple[Callable[[], None], Callable[[],
         dense_rows(parameters, samples)
 
     return packed, dense
+
+
+def of_chain(joints: int, count: int) -> tuple[Callable[[], None], ...]:
+    """Return calls that compute averaged, packed and dense rows of a chain's random samples."""
+    model = chain(joints)
+    parameters, samples = ParameterSet(model), random_samples(model, count)
+    weights = csr_array(np.full((1, count), 1 / count))
+    nothing = np.zeros((0, parameters.inertial))
+
+    def averaged() -> None:
+        averaged_rows(parameters, samples, weights, nothing)
+
+    return averaged, *own(model, count)
 
 
 def chain(count: int) -> RobotModel:

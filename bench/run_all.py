@@ -1,11 +1,11 @@
 """Run the benchmarks of speed and write their tables and plots to bench/README.md.
 
-    .venv/bin/python bench/run_all.py [--only regressor reading] [--quick]
+    .venv/bin/python bench/run_all.py [--only regressor reading] [--quick] [--data FOLDER]
 
 Each benchmark is a script of its own in a process of its own. Ratios compare programs that ran in
 turn on the same machine; seconds are of that machine. With ``--only``, the other sections of
 bench/README.md stay as they are. With ``--quick``, logs are short and repetitions few, to see that
-everything runs.
+everything runs. Simulated logs are kept in ``--data`` when it is given, and used again.
 """
 
 import argparse
@@ -19,6 +19,7 @@ from tables import versions
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE / "README.md"
+SIMULATING = "bag_to_model.py", "cluster.py"
 PACKAGES = "numpy", "scipy", "numba", "mujoco", "rosbags", "mcap"
 
 
@@ -63,6 +64,14 @@ SECTIONS = (
         plot="growth.svg",
     ),
     Section(
+        "Growth with the number of workers",
+        "cluster.py",
+        "`symbid identify --dask` with a scheduler and workers on the same machine.",
+        options="--repeats 1",
+        quick="--seconds 10 --repeats 1 --workers 1",
+        plot="cluster.svg",
+    ),
+    Section(
         "Live identification",
         "online.py",
         "Bridge, recorder and identifier at 1 kHz in real time.",
@@ -75,11 +84,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=sorted({_stem(one) for one in SECTIONS}))
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--data", type=Path)
     given = parser.parse_args()
     known = parts(PAGE.read_text(encoding="utf-8")) if PAGE.exists() else {}
     for section in SECTIONS:
         if given.only is None or _stem(section) in given.only:
-            known[section.title] = measured(section, given.quick)
+            known[section.title] = measured(section, given.quick, given.data)
     heading = (
         "# Speed\n\n`make bench` writes this page; it takes about an hour on two idle cores. "
         "Ratios compare programs that ran in turn on the same machine.\n"
@@ -92,15 +102,20 @@ def main() -> None:
         PAGE.write_text(whole, encoding="utf-8")
 
 
-def measured(section: Section, quick: bool) -> str:
+def measured(section: Section, quick: bool, data: Path | None) -> str:
     """Run a script and return what the page says about it."""
     options = (section.quick if quick else section.options).split()
     if section.plot and not quick:
         options += ["--plot", f"bench/{section.plot}"]
     command = ["bench/" + section.script, *options]
     print(" ".join(command), file=sys.stderr, flush=True)
+    kept = ["--data", str(data.resolve())] if data and section.script in SIMULATING else []
     answer = subprocess.run(
-        [sys.executable, *command], cwd=HERE.parent, stdout=subprocess.PIPE, text=True, check=True
+        [sys.executable, *command, *kept],
+        cwd=HERE.parent,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
     )
     lines = [section.text, "", f"    .venv/bin/python {' '.join(command)}", "", versions(*PACKAGES)]
     lines += ["", answer.stdout.strip(), ""]
