@@ -29,7 +29,7 @@ class SessionMemory:
     ``PERIOD``, so a shorter peak may be missed.
     """
 
-    PERIOD = 0.05  # s
+    PERIOD = 0.25  # s; reading takes time that the processes lose
 
     def __init__(self, session: int) -> None:
         self.peak = 0.0  # MB

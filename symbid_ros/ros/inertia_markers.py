@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable
+from functools import lru_cache
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -212,11 +213,16 @@ def _wireframe(box: InertiaBox) -> Marker:
     marker = _marker(PRIOR_BOX, Marker.LINE_LIST, box.com, np.zeros(3), BEFORE_COLOUR)
     marker.pose = _pose(box.com, box.rotation)
     marker.scale = Vector3(x=max(0.01 * float(box.size.max()), _THINNEST))  # of the lines
-    corners = box.own_corners.tolist()
-    marker.points = [
+    marker.points = _edges(tuple(map(tuple, box.own_corners.tolist())))
+    return marker
+
+
+@lru_cache(maxsize=128)  # boxes of the prior remain, and creating their points takes long
+def _edges(corners: tuple[tuple[float, float, float], ...]) -> list[Point]:
+    """Return the ends of a box's edges from its eight corners, m."""
+    return [
         Point(x=x, y=y, z=z) for edge in BOX_EDGES for x, y, z in (corners[end] for end in edge)
     ]
-    return marker
 
 
 def _marker(
