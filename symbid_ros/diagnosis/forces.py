@@ -206,7 +206,8 @@ def _unexplained(
         Severity.UNUSABLE,
         f"the wrenches (frames: {', '.join(frames) or 'none'}) do not balance the model's weight: "
         f"{100 * left:.0f} % of {statistics.weight:.0f} N is unexplained by any sign, frame or "
-        "gain; record the wrench of every contact and check the IMU's frame",
+        "gain; record the wrench of every contact, or name those without a sensor in `contact`, "
+        "and check the IMU's frame",
         {"weight_left": left, "weight_n": statistics.weight},
     )
 
@@ -304,9 +305,10 @@ def _contradiction(topics: Sequence[str]) -> Finding:
         "",
         Severity.UNUSABLE,
         f"{', '.join(topics)}: forces, efforts and motion contradict each other, and no "
-        "fault of a single sensor explains it; check for exchanged topics, a contact without a "
-        "sensor, a wrench in world axes, a joint's position with a wrong sign or zero, or "
-        "another robot's model",
+        "fault of a single sensor explains it; check for efforts that are currents or in other "
+        "units (`symbid init` finds their scales), exchanged topics, a contact without a sensor, "
+        "a wrench in world axes, a joint's position with a wrong sign or zero, or another robot's "
+        "model",
     )
 
 

@@ -62,7 +62,7 @@ class HoldOut:
     percent_before, percent_after : float or None
         Error of the original model and of the trial's, percent of the measured torque; None if
         nothing was measured.
-    advice : {"better", "equal", "worse", "mixed", "none"}
+    advice : {"better", "equal", "worse", "mixed", "unfit", "none"}
         The trial's model compared with the original one, beyond chance; none if there was no trial.
     repeats : float
         Share of the end's postures and speeds that occurred earlier in the log.

@@ -248,7 +248,14 @@ class _Square:
         """Return the factor R (p, p) of the precision and x (p,) before noise is subtracted."""
         p = len(self.g)
         if self.rows is None:
-            R = cholesky(self.G * np.outer(scale, scale) + np.eye(p))
+            precision = self.G * np.outer(scale, scale) + np.eye(p)
+            try:
+                R = cholesky(precision)
+            except np.linalg.LinAlgError:
+                # Rounding exceeds the prior's information.
+                squares, V = np.linalg.eigh(precision)
+                root = np.sqrt(np.maximum(squares, 1.0))[:, None] * V.T
+                R = np.asarray(np.linalg.qr(root, mode="r"), dtype=np.float64)
             return R / scale, scale * cho_solve((R, False), scale * self.g)
         square = stacked_factor(self.rows, np.column_stack([np.diag(1 / scale), np.zeros(p)]))
         R = square[:p, :p]

@@ -134,10 +134,8 @@ class TermSets:
             weight = np.exp(np.minimum(sets.score - sets.score.max(), 0.0))
             weight[weight < LEAST_PROBABLE] = 0.0
             weight = weight / weight.sum()
-            size, V = np.linalg.eigh(sets.covariance)
-            root = V * np.sqrt(size)
-            inverse = V / np.sqrt(size)
             # In units in which the joint's terms, all free, are independent.
+            root, inverse = _root(sets.covariance)
             now, shift_now = self._removed(sets, free[places], root, inverse)
             core = np.zeros_like(now)
             for one, probability in zip(sets.free, weight, strict=True):
@@ -236,3 +234,15 @@ class TermSets:
     def _gain(self, rows: FloatArray, fixed: IntArray) -> FloatArray:
         gain = np.linalg.solve(self._covariance[np.ix_(fixed, fixed)], rows.T).T
         return np.asarray(gain, dtype=np.float64)
+
+
+def _root(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return R (m, m) with R Rᵀ = C, and R⁻ᵀ.
+
+    Deviations of terms that a log does not show exceed those of others by many orders of magnitude,
+    so that eigenvalues of C itself would be rounding errors.
+    """
+    std = np.sqrt(np.diag(covariance))
+    size, V = np.linalg.eigh(covariance / np.outer(std, std))
+    size = np.maximum(size, np.finfo(float).eps)
+    return std[:, None] * V * np.sqrt(size), V / np.sqrt(size) / std[:, None]

@@ -1,9 +1,13 @@
 """The robot with the wrist sensors and contacts that options name."""
 
+from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.identification.contact_options import ContactOptions
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
+
+# Range of the total mass, relative to the model file's, in which contacts are plausible.
+PLAUSIBLE_MASS = 0.4, 2.5
 
 
 def with_contact_options(robot: RobotModel, options: ContactOptions) -> RobotModel:
@@ -15,3 +19,27 @@ def with_contact_options(robot: RobotModel, options: ContactOptions) -> RobotMod
         When a frame or link is unknown, or the contacts explain any motion.
     """
     return with_contacts(with_wrist_sensors(robot, options.wrist_sensors), options.contacts)
+
+
+def contact_alarms(model: RobotModel, before: FloatArray, after: FloatArray) -> tuple[str, ...]:
+    """Return an alarm if the total mass of a robot with unmeasured contacts is implausible.
+
+    No measured wrench contradicts a contact that nobody named, or flags of one that carries weight
+    although they say that it does not. The efforts then hold another mass.
+
+    Parameters
+    ----------
+    model : RobotModel
+    before, after : (L,) float64
+        Masses of the links in the model file and as identified, kg.
+    """
+    if model.contacts is None or not model.floating:
+        return ()
+    least, most = (bound * before.sum() for bound in PLAUSIBLE_MASS)
+    if least < after.sum() < most:
+        return ()
+    return (
+        f"the total mass went from {before.sum():.3g} kg in the model file to {after.sum():.3g} "
+        f"kg: name every contact in `contact`, leave flags out that are wrong (`contact_flag`), or "
+        "check signs and units of the efforts",
+    )

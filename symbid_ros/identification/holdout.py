@@ -118,6 +118,8 @@ def _hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOu
     summary = f"{describe_change(found.main)} on the last {found.seconds:.0f} s"
     if found.advice == "worse":
         summary += ", worse than the original model"
+    elif found.advice == "unfit":
+        summary += ", more than was measured"
     if repeats >= REPEATED:
         summary += "; the motion repeats itself there, so other motions may be predicted worse"
     model = predictor.parameters.model

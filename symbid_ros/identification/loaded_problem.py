@@ -26,7 +26,7 @@ from symbid_ros.identification.calibration import (
     without_terms,
 )
 from symbid_ros.identification.compliance import shows_compliance
-from symbid_ros.identification.contacts import with_contact_options
+from symbid_ros.identification.contacts import contact_alarms, with_contact_options
 from symbid_ros.identification.couplings import find_couplings
 from symbid_ros.identification.dataset import (
     Dataset,
@@ -161,7 +161,10 @@ class LoadedProblem:
             options.row_filter, found.window or options.window, options.cutoff, options.channels
         )
         estimate = replace(found.estimate, rows=settings)
-        if estimate.verdict is not None and (alarms := self.checks.alarms):
+        count = self.parameters.inertial
+        masses = self.prior.mean[:count:10], estimate.value[:count:10]
+        alarms = (*self.checks.alarms, *contact_alarms(self.parameters.model, *masses))
+        if estimate.verdict is not None and alarms:
             verdict = estimate.verdict
             verdict = replace(verdict, alarms=(*alarms, *verdict.alarms))
             estimate = replace(estimate, verdict=verdict)

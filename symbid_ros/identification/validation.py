@@ -24,9 +24,10 @@ from symbid_ros.json_documents import versioned
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
 
-Advice = Literal["better", "equal", "worse", "mixed"]
+Advice = Literal["better", "equal", "worse", "mixed", "unfit"]
 
 FEWEST_SLOW = 10  # rows below which slow stretches are not reported
+NO_MODEL = 100.0  # percent; the error of a prediction of zero
 WINDOW = 0.161  # s; for comparisons of results without windows
 ALL_JOINTS, SLOW_STRETCHES = "all joints", "slow stretches"
 BASE_MOMENT, BASE_FORCE, WRIST_SENSORS = "base moment", "base force", "wrist sensors"
@@ -110,8 +111,9 @@ class Validation:
         variance is that of the estimate plus that of the residuals of the identified log.
     normalized_square : float or None
         Mean of squared errors over their predicted variance; about 1 for right intervals.
-    advice : {"better", "equal", "worse", "mixed"}
-        The identified model compared with the original one, beyond chance.
+    advice : {"better", "equal", "worse", "mixed", "unfit"}
+        The identified model compared with the original one, beyond chance; unfit if it errs by more
+        than was measured.
     verdict : str
         The same as a sentence with figures.
     efforts : PredictedEfforts
@@ -361,6 +363,8 @@ def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validati
         verdict="",
         efforts=PredictedEfforts.of(rows),
     )
+    if found.percent_after is not None and found.percent_after >= NO_MODEL:
+        found = replace(found, advice="unfit")
     return replace(found, verdict=_verdict(found, changes))
 
 
@@ -384,6 +388,8 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
         "equal": "hardly differs from the original",
         "worse": "do not use it, it is worse than the original",
         "mixed": f"do not use it yet, {worse} got worse",
+        "unfit": "do not use it, it errs by more than was measured (give the robot file, units and "
+        "signs of the identification)",
     }[found.advice]
     return f"{start}: {describe_change(found.main)} {used}"
 

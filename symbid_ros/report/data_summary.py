@@ -114,7 +114,8 @@ def _holdout_entries(holdout: HoldOut | None) -> tuple[SummaryEntry, ...]:
         if holdout.seconds
         else "no trial identification"
     )
-    return (SummaryEntry("Held out", holdout.summary, meaning, is_alarm=holdout.advice == "worse"),)
+    is_bad = holdout.advice in ("worse", "unfit")
+    return (SummaryEntry("Held out", holdout.summary, meaning, is_alarm=is_bad),)
 
 
 def describe_window(verdict: Verdict, samples: int) -> str:

@@ -67,7 +67,8 @@ def recommend(estimate: Estimate) -> Recommendation:
         return Recommendation(
             "caution", f"This model hardly differs from the original: {figure}{calm}.", repeats
         )
-    worse = "is worse than the original" if holdout.advice == "worse" else "is partly worse"
+    kinds = {"worse": "is worse than the original", "unfit": "errs by more than was measured"}
+    worse = kinds.get(holdout.advice, "is partly worse")
     return Recommendation("bad", f"Do not use this model, it {worse}: {figure}{calm}.", repeats)
 
 

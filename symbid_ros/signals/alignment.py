@@ -32,6 +32,7 @@ SHORTEST_SEGMENT = 50
 FLAG_MARGIN = 40_000_000
 # Specific force, m/s², above which a robot is not in flight.
 LARGEST_IN_FLIGHT = 5.0
+FLIGHT_BLOCK = 0.1  # s over which it is averaged
 # Margin beyond the ends of a slice, ns, that splines of slower topics need. The influence of a
 # sample on a spline falls by a factor of four with each sample of distance.
 MARGIN = 100_000_000
@@ -183,7 +184,11 @@ def _check_flight(segment: Segment, source: str) -> None:
     flight = ~segment.touching.any(axis=1)
     if np.count_nonzero(flight) < SHORTEST_SEGMENT:
         return
-    felt = float(np.median(np.linalg.norm(segment.linear_acceleration[flight], axis=2)))
+    # The second derivative of a pose is noisy, but its means over a tenth of a second are not.
+    rows = segment.linear_acceleration[flight]
+    size = min(len(rows), max(1, round(FLIGHT_BLOCK * segment.rate)))
+    blocks = rows[: len(rows) // size * size].reshape(-1, size, *rows.shape[1:]).mean(axis=1)
+    felt = float(np.median(np.linalg.norm(blocks, axis=2)))
     if felt > LARGEST_IN_FLIGHT:
         raise DataError(
             f"{source}: the flags say that no contact touches anything, but the IMU reads "

@@ -299,6 +299,8 @@ def error_columns(
     """Return C = ∂(y - K φ)/∂θ (N, n, r) at the linearization point."""
     theta = linearization.theta
     model = parameters.model
+    # Rows of joints whose effort was not measured are masked, but a NaN would not be.
+    readings = replace(readings, effort=np.nan_to_num(readings.effort))
 
     def residual(
         at: FloatArray,
@@ -324,7 +326,7 @@ def error_columns(
             phi = linearization.phi.copy()
             phi[parameters.inertial :] = 0.0
             rigid = residual(theta, bare, phi)
-            step = STEP / max(float(np.abs(np.nan_to_num(readings.effort)).max()), 1.0)
+            step = STEP / max(float(np.abs(readings.effort).max()), 1.0)
             for column in range(place.start, place.stop):
                 shifted = theta.copy()
                 shifted[column] += step

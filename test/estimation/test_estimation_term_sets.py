@@ -1,5 +1,6 @@
 """Sets of joint terms, against regressions whose terms are known."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -159,3 +160,26 @@ def test_kept_and_fixed_terms_stay_as_they_are(parameters):
     chosen = sets.best()
     assert terms[0] in chosen
     assert terms[1] not in chosen
+
+
+def test_deviations_allow_for_a_term_that_the_log_does_not_show(parameters):
+    """Its variance exceeds those of two terms that look alike by more than the digits of a number.
+
+    In units in which the unseen term has unit variance, the covariance is that of any other log.
+    """
+    rng = np.random.default_rng(5)
+    K = rng.standard_normal((60, 4))
+    K[:, 2] = K[:, 1] + 1e-3 * K[:, 2]
+    found = gaussian(parameters, [(K, K @ [0.3, 1.0, 0.2, 0.1])])
+    unseen = places(parameters, 0)[3]
+    unit = np.ones(len(parameters))
+    unit[unseen] = 1e18
+    prior = replace(found.prior, std=found.prior.std * unit)
+    wide = replace(found, factor=found.factor / unit, prior=prior, mean=found.mean * unit)
+    chosen = places(parameters, 0)[:2]
+    plain, scaled = (
+        sets_of(parameters, one, places(parameters, 0)).deviations(chosen) for one in (found, wide)
+    )
+    scaled = scaled / unit[:, None]
+    scale = np.abs(plain @ plain.T).max()
+    np.testing.assert_allclose(scaled @ scaled.T, plain @ plain.T, atol=1e-6 * scale)

@@ -177,6 +177,21 @@ def test_flags_that_let_a_standing_robot_fly_are_refused(robot, readings):
     assert caught.value.code == "E368"
 
 
+def test_efforts_that_do_not_carry_the_robot_raise_an_alarm(robot, readings):
+    plain, weak = (
+        identify(
+            robot,
+            log_of(robot, readings, effort=factor * readings["/joint_states"]["effort"]),
+            contact=POINTS,
+            no_holdout=True,
+            joint_terms="none",
+        )
+        for factor in (1.0, 0.2)
+    )
+    assert not any("total mass went from" in alarm for alarm in plain.alarms)
+    assert any("total mass went from" in alarm for alarm in weak.alarms)
+
+
 def test_readings_at_a_contact_that_is_named_are_left_out(robot, readings):
     model = with_contacts(robot, POINTS[:3])
     segment = next(iter(AlignedLog(log_of(robot, readings, feet=FEET), model)))

@@ -132,6 +132,19 @@ def test_a_model_that_became_worse_is_refused(arm) -> None:
     assert found.verdict.startswith("do not use it")
 
 
+def test_a_log_in_other_units_has_no_use_for_the_model(arm) -> None:
+    """The original model errs even more, so that the identified one is better than it."""
+    phi = arm.robot.phi.copy()
+    phi[-1] *= 3
+    result = identify(arm.robot.with_phi(phi), arm.training)
+    # Efforts of a tenth.
+    light = log_of(arm.robot.with_phi(0.1 * arm.robot.phi), HELD_OUT, start=START)
+    found = sy.validate(result, light)
+    assert found.percent_before > found.percent_after > 100
+    assert (found.advice, found.is_better) == ("unfit", False)
+    assert found.verdict.startswith("do not use it, it errs by more than was measured")
+
+
 def test_a_model_that_was_right_hardly_differs(arm) -> None:
     result = identify(arm.robot, arm.training)
     found = sy.validate(result, arm.held_out)

@@ -78,6 +78,22 @@ def test_columns_are_the_slopes_of_the_residual(robot, kinds):
         np.testing.assert_allclose(C[:, :, column], slope, atol=5e-4 * scale + 1e-6, err_msg=name)
 
 
+def test_an_effort_that_was_not_measured_leaves_the_columns_of_other_joints_as_they_are():
+    parameters = parameters_of(ROBOTS[-1])
+    readings = exact_readings(parameters, 5, 3, step=170_000_000)
+    errors = all_errors(parameters, readings, ("compliance",))
+    point = LinearizationPoint(parameters.values, np.zeros(len(errors)))
+    silent = readings.effort.copy()
+    silent[:, 0] = np.nan
+    first = parameters.model.dof - silent.shape[1]
+    full, found = (
+        error_columns(parameters, errors, point, each)
+        for each in (readings, replace(readings, effort=silent))
+    )
+    np.testing.assert_allclose(found[:, first + 1 :, 1:], full[:, first + 1 :, 1:], atol=1e-9)
+    assert np.isfinite(found).all()
+
+
 @pytest.mark.parametrize("robot", ROBOTS, ids=str)
 def test_the_structure_covers_every_affected_coordinate(robot):
     parameters = parameters_of(robot)
