@@ -35,6 +35,7 @@ class TestRecommendation:
             ("equal", "caution", "This model hardly differs from the original: "),
             ("worse", "bad", "Do not use this model, it is worse than the original: "),
             ("mixed", "bad", "Do not use this model, it is partly worse: "),
+            ("unfit", "bad", "Do not use this model, it errs by more than was measured: "),
         ],
     )
     def test_follows_the_advice_on_held_out_data(self, advice, kind, start):
