@@ -7,7 +7,8 @@ Prints a Markdown table. One draw is a prior and a log with its noise. Logs are 
 into a temporary folder. The estimates are evaluated on an ideal smooth log of another motion. The
 cases smooth and vibrating have no systematic errors. In the case errors, a smooth log of a robot
 with typical systematic errors is identified with a tare and a weighing, in the case uncured without
-them. A draw takes about a minute.
+them. The cases lengths, delays and everything add wrong link lengths, late sensors, and both with
+different sample rates and quantisation; these are estimated as well. A draw takes about a minute.
 """
 
 import argparse
@@ -40,12 +41,19 @@ from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
 MODEL = config_file("symbitron.xml")
-# By case: scenario, systematic errors, and whether they are estimated
+# By case: scenario, systematic errors, and those that are estimated with a tare and a weighing
 CASES = {
-    "smooth": ("smooth", "", False),
-    "vibrating": ("vibrating", "", False),
-    "errors": ("smooth", "typical", True),
-    "uncured": ("smooth", "typical", False),
+    "smooth": ("smooth", "", ()),
+    "vibrating": ("vibrating", "", ()),
+    "errors": ("smooth", "typical", ("typical",)),
+    "uncured": ("smooth", "typical", ()),
+    "lengths": ("smooth", "typical,link_length", ("typical", "link_length")),
+    "delays": ("smooth", "typical,delays", ("typical", "sensor_delay")),
+    "everything": (
+        "smooth",
+        "typical,link_length,delays,sample_rates,quantisation",
+        ("typical", "link_length", "sensor_delay"),
+    ),
 }
 WEIGHING_STD = 0.02  # kg
 # Every STRIDE-th sample of the ideal log is evaluated, as its motion is slow.
@@ -136,7 +144,7 @@ def draws(
     folder: Path,
 ) -> Iterator[Score]:
     """Yield the scores of one case, several priors for each log."""
-    scenario, errors, cured = CASES[case]
+    scenario, errors, estimated = CASES[case]
     start = given.seed + SEED_OFFSET * list(CASES).index(case)
     for seed in range(start, start + given.draws, given.priors):
         robot = {"errors": errors, "error_seed": seed, "noise_seed": seed}
@@ -147,13 +155,13 @@ def draws(
             ),
             log,
         )
-        if cured:
+        if estimated:
             record(Simulator(SimulateOptions("tare", **robot | {"noise_seed": seed + 2000})), tare)
         priors = [
             draw_prior(parameters, "percent", given.percent, number)
             for number in range(seed, min(seed + given.priors, start + given.draws))
         ]
-        for found, prior in identified(log, tare if cured else None, parameters, priors, given):
+        for found, prior in identified(log, case, parameters, priors, given):
             yield score(found, prior, parameters, motion)
         shutil.rmtree(log)
         shutil.rmtree(tare, ignore_errors=True)
@@ -161,24 +169,30 @@ def draws(
 
 def identified(
     log: Path,
-    tare: Path | None,
+    case: str,
     parameters: ParameterSet,
     priors: list[Prior],
     given: argparse.Namespace,
 ) -> Iterator[tuple[Identification, Prior]]:
     """Yield the log's estimate under each prior; the log is read once."""
-    first = log.parent / "prior.json"
+    first, tare, estimated = log.parent / "prior.json", log.parent / "tare", CASES[case][2]
     priors[0].write(first)
-    problem = BagRequest((log,), MODEL, IdentifyOptions(prior=first)).load()
-    tares = None if tare is None else read_tare(bag_log([tare]))
+    # The checks of the log allow for what is estimated.
+    options = IdentifyOptions(prior=first, sensor_errors=estimated)
+    problem = BagRequest((log,), MODEL, options).load()
+    tares = read_tare(bag_log([tare])) if estimated else None
     for prior in priors:
         options = None
-        if tare is not None:
+        if estimated:
             rng = np.random.default_rng(prior.seed)
             mass = parameters.values[: parameters.inertial : 10].sum()
             weighed = mass + WEIGHING_STD * rng.normal()
             options = replace(
-                problem.options, total_mass=weighed, total_mass_std=WEIGHING_STD, tare=(tare,)
+                problem.options,
+                total_mass=weighed,
+                total_mass_std=WEIGHING_STD,
+                tare=(tare,),
+                sensor_errors=estimated,
             )
         yield problem.with_prior(prior, options, tares).solve(given.method), prior
 

@@ -1,7 +1,8 @@
 """Effect of each sensor error, and of its correction by tare, weighing and sensor columns.
 
 Each row is one simulated log of the Symbitron with that error alone. It is identified as it is, and
-with `--tare` and `--total-mass`, which make the sensor errors unknowns. A row below `typical` shows
+with `--tare` and `--total-mass`, which make the sensor errors unknowns; link lengths and delays are
+estimated where the log has them. A row below `typical` shows
 the correction without a tare. Prediction errors are those along an ideal log of another motion. In
 brackets: the estimate's own standard deviation of the centre of mass.
 
@@ -25,7 +26,6 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.package_paths import config_file
-from symbid_ros.signals.sensor_errors import KINDS
 from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
@@ -33,6 +33,8 @@ from symbid_ros.simulation.systematic_errors import ERRORS, TYPICAL
 
 MODEL = config_file("symbitron.xml")
 WEIGHED = {"total_mass": 41.05, "total_mass_std": 0.02}
+# What is estimated beside typical errors, if a log has them.
+MORE = {"link_length": ("link_length",), "delays": ("sensor_delay",)}
 NAMES = ("", *TYPICAL, "typical", *(name for name in ERRORS if name not in TYPICAL))
 
 
@@ -50,13 +52,14 @@ def main() -> None:
         for name in arguments.only:
             log, tare = bench.simulate(name, "smooth"), bench.simulate(name, "tare")
             plain = bench.identify(log)
-            corrected = bench.identify(log, **WEIGHED, tare=(tare,))
+            kinds = ("typical", *MORE.get(name, ()))
+            corrected = bench.identify(log, **WEIGHED, tare=(tare,), sensor_errors=kinds)
             print(
                 f"{name or 'none':16} {plain[0]} {corrected[0]}  {plain[1]}, {corrected[1]}",
                 flush=True,
             )
             if name == "typical":
-                without = bench.identify(log, **WEIGHED, sensor_errors=KINDS)
+                without = bench.identify(log, **WEIGHED, sensor_errors=("typical",))
                 print(f"{'  without a tare':16} {'':28} {without[0]}  -, {without[1]}", flush=True)
 
 

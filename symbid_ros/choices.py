@@ -19,6 +19,9 @@ SensorErrorKind = Literal[
     "encoder_offset",
     "compliance",
     "sensor_delay",
+    "link_length",
+    "joint_axis",
+    "frame_pose",
 ]
 
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -28,11 +31,11 @@ FILTERS: tuple[Filter, ...] = get_args(Filter)
 CHANNELS: tuple[Channels, ...] = get_args(Channels)
 TERMS: tuple[Term, ...] = get_args(Term)
 SENSOR_ERROR_KINDS: tuple[SensorErrorKind, ...] = get_args(SensorErrorKind)
-# Those that calibration usually leaves. Elastic joints are a property of the robot, and stamps one
-# of drivers and networks.
-TYPICAL_ERRORS = tuple(
-    kind for kind in SENSOR_ERROR_KINDS if kind not in ("compliance", "sensor_delay")
-)
+# Those that calibration usually leaves. Elastic joints and wrong kinematics are properties of the
+# robot, and stamps one of drivers and networks.
+TYPICAL_ERRORS: tuple[SensorErrorKind, ...] = SENSOR_ERROR_KINDS[:7]
+# Errors of the model's geometry.
+KINEMATIC_ERRORS: tuple[SensorErrorKind, ...] = ("link_length", "joint_axis")
 
 
 class JointTerm(NamedTuple):

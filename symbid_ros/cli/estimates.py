@@ -94,10 +94,14 @@ def identify(
     from symbid_ros.cli.tables import print_estimate
     from symbid_ros.estimation.provenance import command_line
     from symbid_ros.identification.holdout import identify_with_holdout
-    from symbid_ros.identification.result_files import RESULT_FILES, write_identification
+    from symbid_ros.identification.result_files import (
+        CALIBRATED,
+        RESULT_FILES,
+        write_identification,
+    )
     from symbid_ros.offline.bags import BagRequest
 
-    require_no_files(out, RESULT_FILES, overwrite=overwrite)
+    require_no_files(out, (*RESULT_FILES, *CALIBRATED), overwrite=overwrite)
     request = BagRequest(tuple(bags), require_model(model), options, log, base)
     if dask is None:
         with progress_shown():
@@ -114,7 +118,8 @@ def identify(
                 problem = distributed.load(cluster, out)
                 found = distributed.attributed(cluster, identify_with_holdout(problem))
     found = request.attributed(found, command_line(), () if robot is None else (robot,))
-    write_identification(found, problem.parameters, out)
+    kinematics = problem.options.export_kinematics
+    write_identification(found, problem.parameters, out, kinematics=kinematics)
     print_estimate(found.estimate, out)
     verdict = found.estimate.verdict
     if verdict is not None and verdict.alarms:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.choices import KINEMATIC_ERRORS
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
@@ -16,6 +17,7 @@ from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
 from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.stance_closure import Stance, closure_rows, find_stances
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import (
     COMPLIANCE,
@@ -165,6 +167,64 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
         segment.imu_frames,
         () if request.factors is None else request.factors.joints,
     )
+    mean, std = _prior_errors(errors, request, dataset.samples)
+    prior = problem.prior.extended(errors.names, mean, std)
+    layout = RowLayout.of(parameters).extended(errors.names, errors.structure(parameters.model))
+    p = len(parameters)
+    point = LinearizationPoint(problem.prior.mean, mean)
+    pseudo_measurements = _padded(problem.pseudo_measurements, len(errors))
+    # Only long windows separate sensor errors from slow motion.
+    suited = suitable_windows(ALL_WINDOWS, segment.rate)
+    shortest, longest = suited[0], suited[-1]
+    scale: FloatArray | None = None
+    remarks: tuple[str, ...] = ()
+    forceful = pseudo_measurements
+    stances: list[Stance] = []
+    if parameters.model.floating and not set(KINEMATIC_ERRORS).isdisjoint(errors.kinds):
+        stances = find_stances(dataset.segments, parameters.model)
+    for _ in range(PASSES - 1):
+        build = CalibratingRows(parameters, errors, point)
+        closed = closure_rows(stances, parameters, errors, point)
+        pseudo_measurements = _stacked(forceful, closed)
+        (observations,) = observe(dataset.segments, build, layout, (longest,), ())
+        if request.factors is not None and scale is None:
+            scale = _scale_row(request.factors, errors, mean, p)
+            if is_undetermined(scale, observations, prior, pseudo_measurements, p):
+                remarks = (ASSUMED,)
+                forceful = _with_row(forceful, scale / ASSUMED_STD, 1 / ASSUMED_STD)
+                pseudo_measurements = _stacked(forceful, closed)
+        found = posterior(
+            observations,
+            prior,
+            pseudo_measurements,
+            empirical=problem.is_empirical and request.factors is not None,
+            count=parameters.inertial,
+            tolerance=POINT_CONVERGED,
+        )
+        theta = found.mean[p:].copy()
+        if COMPLIANCE in errors.kinds:
+            # About rigid joints, because rates of a noisy deflection would enter the motion. The
+            # squares of deflections are negligible.
+            theta[errors.places[COMPLIANCE]] = 0.0
+        point = LinearizationPoint(found.mean[:p], theta)
+    build = CalibratingRows(parameters, errors, point)
+    pseudo_measurements = _stacked(forceful, closure_rows(stances, parameters, errors, point))
+    return replace(
+        problem,
+        observations=_final_rows(build, dataset, layout, (shortest, longest)),
+        prior=prior,
+        sensor_units=errors.units,
+        pseudo_measurements=pseudo_measurements,
+        needs_longest_window=True,
+        calibrated_rows=build,
+        remarks=remarks,
+    )
+
+
+def _prior_errors(
+    errors: SensorErrors, request: SensorErrorRequest, samples: Samples
+) -> tuple[FloatArray, FloatArray]:
+    """Return prior means and standard deviations (r,) of the sensor errors."""
     mean, std = np.zeros(len(errors)), errors.std.copy()
     if request.factors is not None:
         place = errors.places[DRIVE_GAIN]
@@ -185,52 +245,8 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
                 mean[part] = found_by_checks.rotation
                 std[part] = np.maximum(std[part], found_by_checks.std)
     if COMPLIANCE in errors.kinds:
-        std[errors.places[COMPLIANCE]] = compliance_std(dataset.samples)
-    prior = problem.prior.extended(errors.names, mean, std)
-    layout = RowLayout.of(parameters).extended(errors.names, errors.structure(parameters.model))
-    p = len(parameters)
-    point = LinearizationPoint(problem.prior.mean, mean)
-    pseudo_measurements = _padded(problem.pseudo_measurements, len(errors))
-    # Only long windows separate sensor errors from slow motion.
-    suited = suitable_windows(ALL_WINDOWS, segment.rate)
-    shortest, longest = suited[0], suited[-1]
-    scale: FloatArray | None = None
-    remarks: tuple[str, ...] = ()
-    for _ in range(PASSES - 1):
-        build = CalibratingRows(parameters, errors, point)
-        (observations,) = observe(dataset.segments, build, layout, (longest,), ())
-        if request.factors is not None and scale is None:
-            scale = _scale_row(request.factors, errors, mean, p)
-            if is_undetermined(scale, observations, prior, pseudo_measurements, p):
-                remarks = (ASSUMED,)
-                pseudo_measurements = _with_row(
-                    pseudo_measurements, scale / ASSUMED_STD, 1 / ASSUMED_STD
-                )
-        found = posterior(
-            observations,
-            prior,
-            pseudo_measurements,
-            empirical=problem.is_empirical and request.factors is not None,
-            count=parameters.inertial,
-            tolerance=POINT_CONVERGED,
-        )
-        theta = found.mean[p:].copy()
-        if COMPLIANCE in errors.kinds:
-            # About rigid joints, because rates of a noisy deflection would enter the motion. The
-            # squares of deflections are negligible.
-            theta[errors.places[COMPLIANCE]] = 0.0
-        point = LinearizationPoint(found.mean[:p], theta)
-    build = CalibratingRows(parameters, errors, point)
-    return replace(
-        problem,
-        observations=_final_rows(build, dataset, layout, (shortest, longest)),
-        prior=prior,
-        sensor_units=errors.units,
-        pseudo_measurements=pseudo_measurements,
-        needs_longest_window=True,
-        calibrated_rows=build,
-        remarks=remarks,
-    )
+        std[errors.places[COMPLIANCE]] = compliance_std(samples)
+    return mean, std
 
 
 def compliance_std(samples: Samples) -> FloatArray:
@@ -341,6 +357,19 @@ def _with_row(
     if rows is None:
         return PseudoMeasurements(row[None], np.array([target]))
     return PseudoMeasurements(np.vstack([rows.rows, row]), np.append(rows.targets, target))
+
+
+def _stacked(
+    rows: PseudoMeasurements | None, more: PseudoMeasurements | None
+) -> PseudoMeasurements | None:
+    """Return the pseudo-measurements of both."""
+    if rows is None or more is None:
+        return more if rows is None else rows
+    return replace(
+        rows,
+        rows=np.vstack([rows.rows, more.rows]),
+        targets=np.append(rows.targets, more.targets),
+    )
 
 
 def _padded(rows: PseudoMeasurements | None, count: int) -> PseudoMeasurements | None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from symbid_ros.choices import (
     GAUSSIAN,
+    KINEMATIC_ERRORS,
     SENSOR_ERROR_KINDS,
     TERMS,
     TYPICAL_ERRORS,
@@ -182,7 +183,8 @@ class IdentifyOptions(ContactOptions):
     sensor_errors: tuple[str, ...] = option(
         (),
         f"Sensor errors to identify: typical (those that calibration leaves), none, or a "
-        f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)}. compliance: joints bend.",
+        f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)}. compliance: "
+        "joints bend; link_length, joint_axis: geometry of the model.",
         group=JOINTS,
         unset="compliance if a log of an arm shows it, otherwise none",
     )
@@ -255,6 +257,11 @@ class IdentifyOptions(ContactOptions):
     )
     no_holdout: bool = option(
         False, "Skip the trial without the last quarter of the log, which checks the result."
+    )
+    export_kinematics: bool = option(
+        False,
+        "Write calibrated.urdf and calibrated.xml as well: the identified robot with the joint "
+        "placements that `sensor_errors` link_length and joint_axis found.",
     )
     unchecked: bool = option(False, "Skip the checks of the log (`symbid bag doctor`).")
 
@@ -473,6 +480,12 @@ class IdentifyOptions(ContactOptions):
         return names(self.sensor_errors)
 
     def _check_sensor_errors(self) -> None:
+        if self.export_kinematics and set(KINEMATIC_ERRORS).isdisjoint(self.sensor_error_kinds):
+            raise OptionError(
+                "`export_kinematics` needs joint placements to export; add link_length or "
+                "joint_axis to `sensor_errors`",
+                "E503",
+            )
         known = "typical", "none", *SENSOR_ERROR_KINDS
         if self.sensor_errors and not self._named_sensor_errors:
             raise OptionError(f"`sensor_errors` is empty; give {' or '.join(known)}", "E501")

@@ -233,21 +233,22 @@ class ForcePredictor:
         samples = build_samples(segments, self.parameters.model, smoothing, source)
         for block in samples.blocks(SAMPLES_AT_ONCE):
             single = sampled_rows(self.parameters, block)
-            effort, gravity = np.moveaxis(self._effort_and_gravity(block), 2, 0)
+            effort, gravity = np.moveaxis(self._effort_and_gravity(block, self.parameters), 2, 0)
             yield PredictionRows(single.stamp, single.rows, single.valid, effort, gravity)
 
     def _builders(self, segment: Segment, source: str) -> tuple[RowBuilder, RowBuilder]:
         """Return builders of rows in the unknowns, and of columns of effort and gravity."""
         parameters = self.parameters
-        model, count = parameters.model, len(parameters)
+        count = len(parameters)
         errors, order = self._errors(segment, source)
         theta = self.unknowns[count:][order]
+        placed = parameters if errors is None else errors.placed(parameters, theta)
 
         def columns(readings: SensorSamples) -> Iterator[SampledRows]:
             for start in range(0, len(readings), CHUNK):
                 part = readings[start : start + CHUNK]
                 corrected = part if errors is None else errors.corrected(part, theta)
-                pair = self._effort_and_gravity(at_base(corrected, model))
+                pair = self._effort_and_gravity(at_base(corrected, placed.model), placed)
                 flat = np.zeros(pair.shape[:2])
                 yield SampledRows(part.stamp, Rows(pair, flat), np.ones(flat.shape, dtype=bool))
 
@@ -289,9 +290,8 @@ class ForcePredictor:
             )
         return errors, np.array([self.sensor_names.index(name) for name in errors.names])
 
-    def _effort_and_gravity(self, samples: Samples) -> FloatArray:
+    def _effort_and_gravity(self, samples: Samples, parameters: ParameterSet) -> FloatArray:
         """Return (N, n, 2) motor efforts, and forces that hold the identified links still."""
-        parameters = self.parameters
         model = parameters.model
         joints, base = np.zeros_like(samples.velocity), np.zeros_like(samples.base_specific_force)
         still = replace(

@@ -304,15 +304,20 @@ class Result:
         table = pandas.DataFrame([vars(one) for one in self.parameters.values()])
         return table.set_index("name")
 
-    def save(self, folder: str | Path) -> Path:
+    def save(self, folder: str | Path, *, kinematics: bool = False) -> Path:
         """Write estimate.json, information.npz, report_data.npz, model.urdf and model.xml.
+
+        With ``kinematics`` also calibrated.urdf and calibrated.xml, in which joints have the
+        placements that ``sensor_errors`` link_length and joint_axis found.
 
         Raises
         ------
         EstimateError
             When a file cannot be written; the other files are written.
         """
-        write_identification(self._identification, self._parameters, Path(folder))
+        write_identification(
+            self._identification, self._parameters, Path(folder), kinematics=kinematics
+        )
         return Path(folder)
 
     def __repr__(self) -> str:

@@ -28,11 +28,14 @@ from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
+from symbid_ros.signals.sensor_errors import CalibratingRows
 from symbid_ros.user_files import load_json
 
 logger = logging.getLogger(__name__)
 
 RESULT_FILES = *MODEL_FILES, "information.npz", "estimate.json", REPORT_DATA
+# With identified joint placements.
+CALIBRATED = "calibrated.urdf", "calibrated.xml"
 
 
 def check_output(parameters: ParameterSet, out: Path) -> None:
@@ -44,16 +47,20 @@ def check_output(parameters: ParameterSet, out: Path) -> None:
         When the folder is not writable or the robot cannot be expressed in one of the formats.
     """
     check_writable(out)
-    _urdf(parameters, parameters.values, "")
-    _mjcf(parameters, parameters.values, out, "")
+    _urdf(parameters, parameters.values)
+    _mjcf(parameters, parameters.values, out)
 
 
-def write_identification(found: Identification, parameters: ParameterSet, out: Path) -> None:
+def write_identification(
+    found: Identification, parameters: ParameterSet, out: Path, *, kinematics: bool = False
+) -> None:
     """Write the files of a result (``RESULT_FILES``) into a folder, together.
 
     The user's model file keeps everything but the inertial parameters, together with the files that
     it includes. The other format holds the kinematic tree only. Parameters that a format cannot
-    express are logged, and listed at the top of such a tree.
+    express are logged, and listed at the top of such a tree. With ``kinematics``, the files
+    ``CALIBRATED`` hold the same robot with the identified joint placements. ``MODEL_FILES`` keep
+    those of the user's file, to which the identified placements are added in predictions.
 
     If a file cannot be written, the others are. If the folder is no longer writable, estimate and
     information go to a temporary folder.
@@ -80,6 +87,12 @@ def write_identification(found: Identification, parameters: ParameterSet, out: P
         "model.urdf": lambda path: write_text(path, export_urdf(estimate, parameters)),
         "model.xml": lambda path: _write_mjcf(path, export_mjcf(estimate, parameters, out)),
     }
+    if kinematics:
+        calibrated = Calibrated.of(found, parameters)
+        models |= {
+            CALIBRATED[0]: lambda path: write_text(path, calibrated.urdf()),
+            CALIBRATED[1]: lambda path: _write_mjcf(path, calibrated.mjcf(out)),
+        }
     outputs = results | models
     try:
         with staged(out) as stage:
@@ -188,17 +201,74 @@ def export_mjcf(
     return _mjcf(parameters, estimate.value, folder, _warning(estimate))
 
 
-def _urdf(parameters: ParameterSet, values: FloatArray, comment: str) -> str:
+@dataclass(frozen=True)
+class Calibrated:
+    """An identified robot with identified joint placements, to be written.
+
+    Attributes
+    ----------
+    estimate : Estimate
+    placed : ParameterSet
+        With the identified placements.
+    before : RobotModel
+        With those of the user's file.
+    """
+
+    estimate: Estimate
+    placed: ParameterSet
+    before: RobotModel
+
+    @classmethod
+    def of(cls, found: Identification, parameters: ParameterSet) -> "Calibrated":
+        """Return what an identification found; without joint placements those of the file."""
+        rows, placed = found.rows, parameters
+        if isinstance(rows, CalibratingRows):
+            placed = rows.errors.placed(parameters, found.unknowns[len(parameters) :])
+        return cls(found.estimate, placed, parameters.model)
+
+    def urdf(self) -> str:
+        """Return the robot as :func:`export_urdf` does."""
+        value, warning = self.estimate.value, _warning(self.estimate)
+        return _urdf(self.placed, value, warning, self.before)
+
+    def mjcf(self, folder: Path) -> dict[PurePosixPath, str]:
+        """Return the robot as :func:`export_mjcf` does."""
+        value, warning = self.estimate.value, _warning(self.estimate)
+        return _mjcf(self.placed, value, folder, warning, CALIBRATED[1], before=self.before)
+
+
+def _urdf(
+    parameters: ParameterSet,
+    values: FloatArray,
+    comment: str = "",
+    before: RobotModel | None = None,
+) -> str:
     source = Path(parameters.model.source)
-    return urdf_text(parameters.apply(values), None if is_mjcf(source) else source, comment=comment)
+    return urdf_text(
+        parameters.apply(values),
+        None if is_mjcf(source) else source,
+        comment=comment,
+        before=before,
+    )
 
 
 def _mjcf(
-    parameters: ParameterSet, values: FloatArray, folder: Path, comment: str
+    parameters: ParameterSet,
+    values: FloatArray,
+    folder: Path,
+    comment: str = "",
+    name: str = MODEL_FILES[1],
+    *,
+    before: RobotModel | None = None,
 ) -> dict[PurePosixPath, str]:
     source = Path(parameters.model.source)
     return mjcf_files(
-        parameters.apply(values), source if is_mjcf(source) else None, folder, comment=comment
+        parameters.apply(values),
+        source if is_mjcf(source) else None,
+        folder,
+        name=name,
+        comment=comment,
+        before=before,
     )
 
 

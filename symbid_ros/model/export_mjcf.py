@@ -2,7 +2,7 @@
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Container
+from collections.abc import Container, Mapping
 from pathlib import Path, PurePosixPath
 from xml.sax.saxutils import quoteattr
 
@@ -15,6 +15,7 @@ from symbid_ros.model.export_urdf import (
     annotate,
     negative_terms,
     numbers,
+    placement_changes,
     with_nonnegative_terms,
 )
 from symbid_ros.model.inertia import TINY_MASS, com_from_phi, is_consistent, nearest_consistent
@@ -47,6 +48,7 @@ def mjcf_files(
     *,
     name: str = "model.xml",
     comment: str = "",
+    before: RobotModel | None = None,
 ) -> dict[PurePosixPath, str]:
     """Return the robot as MJCF that MuJoCo compiles for any parameters.
 
@@ -66,6 +68,9 @@ def mjcf_files(
     comment : str
         Comment at the top of a minimal tree; changed values (:func:`replaced_values`) are
         appended.
+    before : RobotModel, optional
+        The same robot with the kinematics of ``source``, if those of ``model`` differ. The poses of
+        bodies are then replaced as well.
 
     Returns
     -------
@@ -74,7 +79,7 @@ def mjcf_files(
     """
     possible = with_nonnegative_terms(model)
     if source is not None:
-        files = updated_mjcf(possible, source, folder, name)
+        files = updated_mjcf(possible, source, folder, name, before=before)
         if files is not None:
             return files
     root = _minimal_tree(without_wrist_sensors(possible))
@@ -192,7 +197,13 @@ def _inertial(phi: FloatArray) -> ET.Element:
 
 
 def updated_mjcf(
-    model: RobotModel, source: Path, folder: Path, name: str, *, in_place: bool = False
+    model: RobotModel,
+    source: Path,
+    folder: Path,
+    name: str,
+    *,
+    in_place: bool = False,
+    before: RobotModel | None = None,
 ) -> dict[PurePosixPath, str] | None:
     """Return the user's MJCF with the robot's inertias and joint terms, as files for ``folder``.
 
@@ -211,13 +222,15 @@ def updated_mjcf(
         Name of the main file there.
     in_place : bool
         Whether the texts will replace ``source`` and its included files.
+    before : RobotModel, optional
+        As of :func:`mjcf_files`.
 
     Returns
     -------
     dict of PurePosixPath to str, or None
         The main file first, then the included files at the same relative paths as in
-        ``source``. None if a body has no element in a file, as below <replicate>, or if a file
-        is in UTF-16.
+        ``source``. None if a body has no element in a file, as below <replicate>, if a file is in
+        UTF-16, or if a body to move is in a <frame> or has several joints.
     """
     root = read_mjcf(source)
     elements = [as_element(body) for body in root.iterfind("worldbody//body")]
@@ -236,13 +249,15 @@ def updated_mjcf(
         if inertial is None and bodies[body].find("frame//inertial") is not None:
             return None
         _set_inertial(files, bodies[body], nearest_consistent(phi))
+    if before is not None and not _move_bodies(files, root, bodies, (before, model)):
+        return None
     # An element may inherit its terms from a class, so MuJoCo's values are compared.
-    before = {joint.name: joint for joint in load_mjcf(source).joints}
+    stated_joints = {joint.name: joint for joint in load_mjcf(source).joints}
     after = {joint.name: joint for joint in model.joints}
     for element in root.iterfind("worldbody//joint"):
         joint = element.get("name", "")
         if joint in after:
-            _set_terms(files, as_element(element), before[joint], after[joint])
+            _set_terms(files, as_element(element), stated_joints[joint], after[joint])
     _adjust_compilers(files, root, folder)
     return files.texts(folder, name, in_place=in_place)
 
@@ -316,6 +331,35 @@ def _set_inertial(files: _Files, body: Element, phi: FloatArray) -> None:
 def full_inertia(inertia: FloatArray) -> str:
     """Return a (3, 3) inertia as MJCF's fullinertia: xx, yy, zz, xy, xz, yz."""
     return numbers(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+
+
+def _move_bodies(
+    files: _Files,
+    root: Element,
+    bodies: Mapping[str, Element],
+    robots: tuple[RobotModel, RobotModel],
+) -> bool:
+    """Move bodies as joints' frames move between two robots; return whether that was possible."""
+    before, after = robots
+    changes = placement_changes(before, after)
+    in_frames = {body for frame in root.iter("frame") for body in frame.iter("body")}
+    poses = {body.name: body for body in before.bodies}
+    for name, element in bodies.items():
+        joints = poses[name].joints if name in poses else ()
+        moved = [joint for joint in joints if joint.name in changes]
+        if not moved:
+            continue
+        if len(joints) > 1 or element in in_frames:
+            return False
+        rotation, translation = changes[moved[0].name]
+        pose, anchor = poses[name], moved[0].anchor
+        for key in _ORIENTATIONS:
+            files.editor(element).drop(element, key)
+        turn = pose.rotation @ rotation
+        place = pose.translation + pose.rotation @ (anchor + translation - rotation @ anchor)
+        files.editor(element).set(element, "pos", numbers(place))
+        files.editor(element).set(element, "quat", numbers(quaternion_from_rotation(turn)))
+    return True
 
 
 def _set_terms(files: _Files, element: Element, before: Joint, after: Joint) -> None:

@@ -26,7 +26,13 @@ NEGLIGIBLE = 1e-9
 TERMS = {"damping": "damping", "friction": "friction_loss", "armature": "armature"}
 
 
-def urdf_text(model: RobotModel, source: Path | None = None, *, comment: str = "") -> str:
+def urdf_text(
+    model: RobotModel,
+    source: Path | None = None,
+    *,
+    comment: str = "",
+    before: RobotModel | None = None,
+) -> str:
     """Return the robot as URDF text.
 
     Parameters
@@ -39,9 +45,12 @@ def urdf_text(model: RobotModel, source: Path | None = None, *, comment: str = "
     comment : str
         Comment at the top of a minimal tree; values that a URDF cannot hold (:func:`unwritten`)
         are appended.
+    before : RobotModel, optional
+        The same robot with the kinematics of ``source``, if those of ``model`` differ. The origins
+        of joints are then replaced as well.
     """
     if source is not None and is_editable(source):
-        return _updated(with_nonnegative_terms(model), source)
+        return _updated(with_nonnegative_terms(model), source, before or model)
     robot = _minimal_tree(without_wrist_sensors(with_nonnegative_terms(model)))
     annotate(robot, comment, *unwritten(model))
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
@@ -54,9 +63,10 @@ def unwritten(model: RobotModel) -> tuple[str, ...]:
     return tuple(filter(None, (negative_terms(model), listed)))
 
 
-def _updated(model: RobotModel, source: Path) -> str:
+def _updated(model: RobotModel, source: Path, before: RobotModel) -> str:
     root, editor = read_xml(source), XmlEditor(source)
     reader = UrdfReader(str(source), root)
+    changes = placement_changes(before, model)
     model = without_wrist_sensors(model, kept=reader.links)
     names = {*model.link_names, *(frame.name for frame in model.frames)}
     stated = {name: reader.phi(name) for name in reader.links if name in names}
@@ -67,7 +77,40 @@ def _updated(model: RobotModel, source: Path) -> str:
         name = element.get("name", "")
         if name in joints:
             _set_friction(editor, element, joints[name])
+        if name in changes:
+            _set_origin(editor, element, reader.pose(element), changes[name])
     return editor.text()
+
+
+def placement_changes(
+    before: RobotModel, after: RobotModel
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return rotation and translation of each moved joint's frame in its frame before."""
+    changes = {}
+    stated = {joint.name: joint for joint in before.joints}
+    for other in after.joints:
+        one = stated[other.name]
+        if np.any(one.rotation != other.rotation) or np.any(one.translation != other.translation):
+            moved = one.rotation.T @ (other.translation - one.translation)
+            changes[one.name] = (one.rotation.T @ other.rotation, moved)
+    return changes
+
+
+def _set_origin(
+    editor: XmlEditor,
+    element: ET.Element,
+    pose: tuple[FloatArray, FloatArray],
+    change: tuple[FloatArray, FloatArray],
+) -> None:
+    """Write the origin of a joint, of which ``pose`` is the one in the file."""
+    values = {"xyz": pose[1] + pose[0] @ change[1], "rpy": rpy_from_rotation(pose[0] @ change[0])}
+    origin = element.find("origin")
+    if origin is None:
+        markup = "".join(f' {key}="{numbers(value)}"' for key, value in values.items())
+        editor.insert(as_element(element), f"<origin{markup}/>")
+        return
+    for key, value in values.items():
+        editor.set_numbers(as_element(origin), key, value.tolist(), ROUNDING)
 
 
 def _set_inertial(editor: XmlEditor, reader: UrdfReader, name: str, phi: FloatArray) -> None:

@@ -107,7 +107,8 @@ def identify_bags(node: Node, values: dict[str, Any], stop: Event) -> None:
         found = request.attributed(identify_with_holdout(problem), command_line())
     estimate = found.estimate
     if out is not None:
-        write_identification(found, problem.parameters, out)
+        kinematics = problem.options.export_kinematics
+        write_identification(found, problem.parameters, out, kinematics=kinematics)
     topics = EstimateTopics(node, problem.parameters)
     topics.publish(estimate, node.get_clock().now().to_msg())
     topics.describe(export_urdf(estimate, problem.parameters))

@@ -7,10 +7,11 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.placements import displaced, displacement_columns
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -34,6 +35,9 @@ DEVIATIONS = {
     "encoder_offset": (np.radians(0.11),),
     "compliance": (1e-4,),  # rad/Nm; logs replace it by one in proportion to the efforts
     "sensor_delay": (0.005,),  # s
+    "link_length": (0.0015,) * 3,  # m
+    "joint_axis": (np.radians(0.2),) * 3,
+    "frame_pose": (np.radians(0.2),) * 3,  # of wrench sensors; IMUs have that of plate_pose
     "drive_gain": (1.0,),  # relative to the first guess
 }
 UNITS = {
@@ -46,9 +50,13 @@ UNITS = {
     "encoder_offset": ("rad",),
     "compliance": ("rad/Nm",),
     "sensor_delay": ("s",),
+    "link_length": ("m",) * 3,
+    "joint_axis": ("rad",) * 3,
+    "frame_pose": ("rad",) * 3,
     "drive_gain": ("1",),
 }
 DRIVE_GAIN, COMPLIANCE, DELAY = "drive_gain", "compliance", "sensor_delay"
+LENGTH, AXIS, FRAME = "link_length", "joint_axis", "frame_pose"
 # Owner of the delay of all efforts.
 EFFORTS = "efforts"
 KINDS = SENSOR_ERROR_KINDS
@@ -114,9 +122,19 @@ class SensorErrors:
         if kind == DELAY:
             efforts = (EFFORTS,) if self.driven.any() else ()
             return (*self.imu_frames, *self.wrench_frames, *efforts)
+        if kind == FRAME:
+            return (*self.wrench_frames, *self.imu_frames)
         if kind == "torque_gain":
             return tuple(name for name, used in zip(self.joints, self.driven, strict=True) if used)
         return self.gained if kind == DRIVE_GAIN else self.joints
+
+    def _meaning(self, kind: str, owner: str) -> str:
+        """Return the kind whose deviations and units an error has.
+
+        Of a frame's pose only that half is an unknown which is no kind by itself: rotations of
+        wrench sensors, and positions of IMUs.
+        """
+        return "plate_pose" if kind == FRAME and owner in self.imu_frames else kind
 
     @cached_property
     def places(self) -> dict[str, slice]:
@@ -141,14 +159,22 @@ class SensorErrors:
     def units(self) -> tuple[str, ...]:
         """SI unit of each unknown."""
         return tuple(
-            unit for kind in self.kinds for _ in self._owners(kind) for unit in UNITS[kind]
+            unit
+            for kind in self.kinds
+            for owner in self._owners(kind)
+            for unit in UNITS[self._meaning(kind, owner)]
         )
 
     @cached_property
     def std(self) -> FloatArray:
         """(r,) prior standard deviations."""
         return np.array(
-            [s for kind in self.kinds for _ in self._owners(kind) for s in DEVIATIONS[kind]]
+            [
+                std
+                for kind in self.kinds
+                for owner in self._owners(kind)
+                for std in DEVIATIONS[self._meaning(kind, owner)]
+            ]
         )
 
     def __len__(self) -> int:
@@ -173,7 +199,9 @@ class SensorErrors:
             size = len(DEVIATIONS[kind])
             for index, owner in enumerate(self._owners(kind)):
                 columns = slice(place.start + size * index, place.start + size * (index + 1))
-                if kind.startswith("plate") or (kind == DELAY and owner in self.wrench_frames):
+                if kind.startswith("plate") or (
+                    kind in (DELAY, FRAME) and owner in self.wrench_frames
+                ):
                     carried = model.ancestors[:, model.loaded_link(owner)]
                     affects[first:, columns] = carried[:, None]
                 elif kind in ("torque_gain", DRIVE_GAIN):
@@ -183,6 +211,38 @@ class SensorErrors:
                     affects[:, columns] = False
                     affects[first + np.flatnonzero(self.driven), columns] = True
         return affects
+
+    def placed(self, parameters: ParameterSet, theta: FloatArray) -> ParameterSet:
+        """Return the parameters of the robot whose joints are displaced by θ (r,)."""
+        screws = np.zeros((len(self.joints), 6))
+        screws[:, 3:] = self.of_kind(LENGTH, theta)
+        screws[:, :3] = _across_axes(parameters.model, self.of_kind(AXIS, theta))
+        if not screws.any():
+            return parameters
+        return replace(parameters, model=displaced(parameters.model, screws))
+
+    def fill_placements(
+        self, columns: FloatArray, by_screws: FloatArray, model: RobotModel, theta: FloatArray
+    ) -> None:
+        """Fill the columns (N, m, r) of joints' placements, from derivatives by their screws.
+
+        Parameters
+        ----------
+        columns : (N, m, r) float64
+        by_screws : (N, m, J, 6) float64
+            Derivatives by screws of the displaced joints, as :func:`displacement_columns`.
+        model : RobotModel
+            Without displacements.
+        theta : (r,) float64
+        """
+        shape = (*columns.shape[:2], -1)
+        if LENGTH in self.kinds:
+            columns[:, :, self.places[LENGTH]] = by_screws[..., 3:].reshape(shape)
+        if AXIS in self.kinds:
+            turns = _across_axes(model, self.of_kind(AXIS, theta))
+            slopes = _left_jacobian(turns) @ _axis_complements(model)
+            turned = (by_screws[..., None, :3] @ slopes)[..., 0, :]
+            columns[:, :, self.places[AXIS]] = turned.reshape(shape)
 
     def realigned(self, readings: SensorSamples, theta: FloatArray) -> SensorSamples:
         """Return the samples without the delays of θ (r,) relative to the joints' positions."""
@@ -222,6 +282,11 @@ class SensorErrors:
             1 + self.of_kind("plate_gain", theta)
         )
         wrenches[:, :, :3] += np.cross(self.of_kind("plate_pose", theta), wrenches[:, :, 3:])
+        frames = self.of_kind(FRAME, theta)
+        if frames.any():
+            plates = Rotation.from_rotvec(frames[: len(self.wrench_frames)]).as_matrix()
+            pairs = wrenches.reshape(*wrenches.shape[:2], 2, 3)
+            wrenches = np.einsum("fij,nfkj->nfki", plates, pairs).reshape(wrenches.shape)
         mounting, bias = self.of_kind("imu_mounting", theta), self.of_kind("imu_bias", theta)
         readings = _behind_gears(readings, self.of_kind(COMPLIANCE, theta)[:, 0])
         corrected = replace(
@@ -238,11 +303,14 @@ class SensorErrors:
             rotated = [vectors[:, imu] @ turn.T for imu, turn in enumerate(turns)]
             return np.stack(rotated, axis=1)
 
+        omega = in_frame(readings.angular_velocity - bias[:, :3])
+        alpha = in_frame(readings.angular_acceleration)
+        force = in_frame(readings.specific_force - bias[:, 3:])
+        if frames.any():
+            lever = np.broadcast_to(frames[len(self.wrench_frames) :], omega.shape)
+            force -= np.cross(alpha, lever) + np.cross(omega, np.cross(omega, lever))
         return replace(
-            corrected,
-            angular_velocity=in_frame(readings.angular_velocity - bias[:, :3]),
-            angular_acceleration=in_frame(readings.angular_acceleration),
-            specific_force=in_frame(readings.specific_force - bias[:, 3:]),
+            corrected, angular_velocity=omega, angular_acceleration=alpha, specific_force=force
         )
 
 
@@ -298,6 +366,7 @@ def error_columns(
 ) -> FloatArray:
     """Return C = ∂(y - K φ)/∂θ (N, n, r) at the linearization point."""
     theta = linearization.theta
+    nominal, parameters = parameters.model, errors.placed(parameters, theta)
     model = parameters.model
     # Rows of joints whose effort was not measured are masked, but a NaN would not be.
     readings = replace(readings, effort=np.nan_to_num(readings.effort))
@@ -306,17 +375,21 @@ def error_columns(
         at: FloatArray,
         parameters: ParameterSet = parameters,
         phi: FloatArray = linearization.phi,
+        seen_by_imus: RobotModel = model,
     ) -> FloatArray:
-        rows = equation_of_motion(parameters, at_base(errors.corrected(readings, at), model))
+        samples = at_base(errors.corrected(readings, at), seen_by_imus)
+        rows = equation_of_motion(parameters, samples)
         difference: FloatArray = rows.y - rows.K @ phi
         return difference
 
     C = np.zeros((len(readings), model.dof, len(errors)))
     unshifted = residual(theta)
     for kind, place in errors.places.items():
-        if kind in ("imu_mounting", "imu_bias", "encoder_offset", DELAY):
+        if kind in ("imu_mounting", "imu_bias", "encoder_offset", DELAY, FRAME):
             step = TIME_STEP if kind == DELAY else STEP
-            for column in range(place.start, place.stop):
+            # The rotations of wrench sensors are linear in the wrenches.
+            linear = 3 * len(errors.wrench_frames) if kind == FRAME else 0
+            for column in range(place.start + linear, place.stop):
                 shifted = theta.copy()
                 shifted[column] += step
                 C[:, :, column] = (residual(shifted) - unshifted) / step
@@ -337,7 +410,58 @@ def error_columns(
             effort = errors.realigned(readings, theta).effort[:, errors.driven]
             C[:, rows, range(place.start, place.stop)] = -np.nan_to_num(effort) / (1 + gain) ** 2
     _fill_plates(C, errors, model, readings, theta)
+    if LENGTH in errors.kinds or AXIS in errors.kinds:
+        corrected = errors.corrected(readings, theta)
+        phi = _carried_phi(parameters, linearization.phi, readings.stamp)
+        columns = displacement_columns(model, phi, at_base(corrected, model))
+        # Displaced joints between the base and an IMU change the base's motion.
+        for joint in np.flatnonzero(_carries_imu(errors, model)):
+            for axis in range(6):
+                screws = np.zeros((len(model.joints), 6))
+                screws[joint, axis] = STEP
+                moved = residual(theta, seen_by_imus=displaced(model, screws))
+                columns[:, :, joint, axis] += (moved - unshifted) / STEP
+        errors.fill_placements(C, columns, nominal, theta)
     return C
+
+
+def _carries_imu(errors: SensorErrors, model: RobotModel) -> BoolArray:
+    """Return which joints (J,) lie between the base and an IMU."""
+    links = [model.frame(name).link for name in errors.imu_frames]
+    return np.asarray(model.ancestors[:, links].any(axis=1))
+
+
+def _carried_phi(parameters: ParameterSet, phi: FloatArray, stamp: IntArray) -> FloatArray:
+    """Return φ (N or 1, L, 10) of all links with the payloads that they carry."""
+    links = np.zeros((1, len(parameters.model.links), 10))
+    links[0, parameters.links] = parameters.link_phi(phi)
+    for payload in parameters.payloads:
+        links = np.broadcast_to(links, (len(stamp), *links.shape[1:])).copy()
+        links[:, payload.link] += payload.is_carried(stamp)[:, None] * payload.phi
+    return links
+
+
+def _axis_complements(model: RobotModel) -> FloatArray:
+    """Return the projections (J, 3, 3) onto the plane across each joint's axis, parent's axes."""
+    axes = np.array([joint.rotation @ joint.axis for joint in model.joints]).reshape(-1, 3)
+    complements: FloatArray = np.eye(3) - axes[:, :, None] * axes[:, None]
+    return complements
+
+
+def _across_axes(model: RobotModel, turns: FloatArray) -> FloatArray:
+    """Return rotation vectors (J, 3) without their parts about the joints' axes.
+
+    A rotation about a joint's axis is its encoder's offset.
+    """
+    across: FloatArray = (_axis_complements(model) @ turns[:, :, None])[..., 0]
+    return across
+
+
+def _left_jacobian(turns: FloatArray) -> FloatArray:
+    """Return the rotation (..., 3, 3) of exp(ρ) per change of small ρ (..., 3), to second order."""
+    cross = np.cross(turns[..., None, :], np.eye(3)).swapaxes(-1, -2)
+    jacobian: FloatArray = np.eye(3) + cross / 2 + cross @ cross / 6
+    return jacobian
 
 
 def _fill_plates(
@@ -349,7 +473,8 @@ def _fill_plates(
 ) -> None:
     """Fill the columns of the wrench sensors' errors; y is linear in the wrenches."""
     frames = errors.wrench_frames
-    if not any(kind.startswith("plate") for kind in errors.kinds) or not frames:
+    linear = {"plate_offset", "plate_gain", "plate_pose", FRAME}
+    if linear.isdisjoint(errors.kinds) or not frames:
         return
     corrected = errors.corrected(readings, theta)
     poses = link_poses(model, model.apply_mimics(corrected.position))
@@ -363,6 +488,20 @@ def _fill_plates(
     correction = np.tile(np.eye(6), (len(frames), 1, 1))
     correction[:, :3, 3:] = np.cross(lever[:, None], np.eye(3)).swapaxes(1, 2)
     raw_response = np.einsum("tnfi,fij->tnfj", response, correction)
+    turns = np.zeros((len(frames), 3))
+    if FRAME in errors.kinds:
+        turns = errors.of_kind(FRAME, theta)[: len(frames)]
+        turned = Rotation.from_rotvec(turns).as_matrix()
+        pairs = response.reshape(*response.shape[:3], 2, 3)
+        raw = np.einsum("tnfki,fij->tnfkj", pairs, turned)
+        raw_response = np.einsum("tnfi,fij->tnfj", raw.reshape(response.shape), correction)
+        wrenches = corrected.wrenches.reshape(*corrected.wrenches.shape[:2], 1, 2, 3)
+        spun = np.cross(_left_jacobian(turns).swapaxes(1, 2)[None, :, :, None], wrenches)
+        place = errors.places[FRAME]
+        C[:, :, place.start : place.start + 3 * len(frames)] = np.einsum(
+            "tnfki,tfjki->tnfj", pairs, spun
+        ).reshape(len(readings), model.dof, -1)
+        response = raw.reshape(response.shape)
     changes = {
         "plate_offset": -raw_response / gain,
         "plate_gain": -raw_response * (rescaled / gain)[:, None],
@@ -394,14 +533,19 @@ class CalibratingRows:
     errors: SensorErrors
     linearization: LinearizationPoint
 
+    @cached_property
+    def placed(self) -> ParameterSet:
+        """The parameters of the robot with the joints displaced as at the linearization point."""
+        return self.errors.placed(self.parameters, self.linearization.theta)
+
     def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
         """Yield the rows of sensor samples."""
-        parameters, errors, point = self.parameters, self.errors, self.linearization
+        parameters, errors, point = self.placed, self.errors, self.linearization
         for start in range(0, len(readings), CHUNK):
             part = readings[start : start + CHUNK]
             samples = at_base(errors.corrected(part, point.theta), parameters.model)
             rows = equation_of_motion(parameters, samples)
-            C = _interpolated_columns(parameters, errors, point, part)
+            C = _interpolated_columns(self.parameters, errors, point, part)
             if errors.gained:
                 C = C.copy()
                 place = errors.places[DRIVE_GAIN]

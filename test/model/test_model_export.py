@@ -11,10 +11,11 @@ import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from random_robots import random_phi, random_robot
+from random_robots import CONFIG, random_phi, random_robot
 
 from symbid_ros.atomic_write import write_text
 from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.placements import displaced
 from symbid_ros.errors import ModelError
 from symbid_ros.model.export_mjcf import mjcf_files, mjcf_text, replaced_values
 from symbid_ros.model.export_urdf import urdf_text
@@ -493,3 +494,43 @@ def test_meshes_are_found_from_another_folder(compiler, written, tmp_path):
     again = saved(mjcf_files(heavier, source, out), out)
     np.testing.assert_allclose(again.phi, 2 * robot.phi)
     assert written in next(out.glob("*.xml")).read_text()
+
+
+def _assert_same_placements(one, other):
+    for first, second in zip(one.joints, other.joints, strict=True):
+        np.testing.assert_allclose(first.rotation, second.rotation, atol=1e-9)
+        np.testing.assert_allclose(first.translation, second.translation, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["symbitron.urdf", "symbitron.xml"])
+def test_displaced_joints_are_written_into_the_users_file(name, tmp_path):
+    source = CONFIG / name
+    before = load_model(source)
+    rng = np.random.default_rng(3)
+    screws = np.where(rng.random((len(before.joints), 1)) < 0.5, 0.0, 0.01)
+    after = displaced(before, screws * rng.standard_normal((len(before.joints), 6)))
+    written = tmp_path / name
+    if name.endswith("urdf"):
+        written.write_text(urdf_text(after, source, before=before))
+    else:
+        written.write_text(next(iter(mjcf_files(after, source, tmp_path, before=before).values())))
+    _assert_same_placements(load_model(written), after)
+    # Otherwise the file is that of the robot without displacements.
+    if name.endswith("urdf"):
+        assert urdf_text(before, source, before=before) == urdf_text(before, source)
+
+
+def test_a_displaced_joint_off_its_bodys_origin_moves_the_body(tmp_path):
+    source = tmp_path / "arm.xml"
+    source.write_text(
+        "<mujoco><compiler angle='radian'/><worldbody><body name='upper' pos='0 0 .1'>"
+        "<joint name='one' axis='0 1 0'/><inertial mass='1' pos='0 0 .1' diaginertia='.1 .1 .1'/>"
+        "<body name='lower' pos='0 .1 .3' euler='.3 0 .2'><joint name='two' pos='.02 0 -.03' "
+        "axis='1 0 0'/><inertial mass='1' pos='0 0 .1' diaginertia='.1 .1 .1'/></body></body>"
+        "</worldbody></mujoco>"
+    )
+    before = load_model(source)
+    after = displaced(before, np.array([np.zeros(6), [0.02, -0.01, 0.03, 0.004, 0.003, -0.002]]))
+    written = tmp_path / "written.xml"
+    written.write_text(next(iter(mjcf_files(after, source, tmp_path, before=before).values())))
+    _assert_same_placements(load_model(written), after)

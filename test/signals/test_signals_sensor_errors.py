@@ -50,6 +50,7 @@ def all_errors(parameters, readings, kinds=TYPICAL_ERRORS):
 
 
 def residual(parameters, errors, phi, readings, theta):
+    parameters = errors.placed(parameters, theta)
     samples = at_base(errors.corrected(readings, theta), parameters.model)
     rows = equation_of_motion(parameters, samples)
     return rows.y - rows.K @ phi
@@ -128,6 +129,7 @@ def test_names_units_deviations_and_places_agree(robot):
     driven = [joint.name for joint in model.joints if joint.effort > 0]
     joints = list(model.joint_names)
     owners = {"torque_gain": driven, "encoder_offset": joints, "compliance": joints}
+    owners |= {"link_length": joints, "joint_axis": joints}
     end = 0
     for kind in KINDS:
         place = errors.places[kind]
@@ -136,13 +138,21 @@ def test_names_units_deviations_and_places_agree(robot):
         sensors = readings.wrench_frames if kind.startswith("plate") else readings.imu_frames
         if kind == "sensor_delay":
             sensors = (*readings.imu_frames, *readings.wrench_frames, "efforts")
+        if kind == "frame_pose":
+            sensors = (*readings.wrench_frames, *readings.imu_frames)
         owned = owners.get(kind, list(sensors))
         names = errors.names[place]
         size = len(DEVIATIONS[kind])
         assert [name.partition("/")[0] for name in names] == list(np.repeat(owned, size))
         assert all(name.partition("/")[2].startswith(kind) for name in names)
-        assert errors.units[place] == UNITS[kind] * len(owned)
-        np.testing.assert_array_equal(errors.std[place], np.tile(DEVIATIONS[kind], len(owned)))
+        # Wrench sensors turn and IMUs move.
+        meant = [
+            "plate_pose" if kind == "frame_pose" and owner in readings.imu_frames else kind
+            for owner in owned
+        ]
+        assert errors.units[place] == sum((UNITS[one] for one in meant), ())
+        expected = sum((DEVIATIONS[one] for one in meant), ())
+        np.testing.assert_array_equal(errors.std[place], expected)
         theta = np.arange(len(errors)) + 1.0
         np.testing.assert_array_equal(errors.of_kind(kind, theta).ravel(), theta[place])
         assert errors.of_kind(kind, theta).shape == (len(owned), size)

@@ -1,0 +1,109 @@
+"""Relative poses of resting soles: slopes, noise that is honest, and geometry that they tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from analytic_log import analytic_segment
+from random_robots import CONFIG, random_robot
+from scipy.spatial.transform import Rotation
+
+from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.identification.stance_closure import Stance, closure_rows, find_stances
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.sensor_errors import LinearizationPoint, SensorErrors
+
+KINDS = ("encoder_offset", "link_length", "joint_axis")
+SOLES = "left_sole", "right_sole"
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return ParameterSet(load_model(CONFIG / "symbitron.xml"))
+
+
+def errors_of(parameters):
+    return SensorErrors.of(KINDS, parameters.model, SOLES, ())
+
+
+def relative_pose(model, position):
+    """Return rotations and positions of the right sole in the left one."""
+    poses, placed = link_poses(model, position), []
+    for name in SOLES:
+        frame = model.frame(name)
+        turn = poses.rotation[:, frame.link]
+        origin = poses.position[:, frame.link] + turn @ frame.translation
+        placed.append((turn @ frame.rotation, origin))
+    (first, start), (second, end) = placed
+    inverse = first.swapaxes(1, 2)
+    return inverse @ second, (inverse @ (end - start)[..., None])[..., 0]
+
+
+def readings(parameters, errors, theta, count, rng):
+    """Return what encoders read in random postures in which the soles do not move."""
+    true = errors.placed(parameters, theta).model
+    offset = errors.of_kind("encoder_offset", theta)[:, 0]
+    turn, place = relative_pose(true, np.zeros((1, len(true.joints))))
+    posture = 0.2 * rng.standard_normal((count, len(true.joints)))
+
+    def misfit(posture):
+        one, other = relative_pose(true, posture)
+        left = Rotation.from_matrix(one @ turn[0].T).as_rotvec()
+        return np.concatenate([left, other - place], axis=1)
+
+    for _ in range(12):  # Newton's method of least change
+        error = misfit(posture)
+        steps = 1e-6 * np.eye(posture.shape[1])
+        jacobian = np.stack([(misfit(posture + step) - error) / 1e-6 for step in steps], axis=2)
+        posture = posture - (np.linalg.pinv(jacobian) @ error[..., None])[..., 0]
+    assert np.abs(misfit(posture)).max() < 1e-7
+    return posture + offset
+
+
+def test_resting_soles_tell_the_geometry(parameters):
+    errors, rng = errors_of(parameters), np.random.default_rng(0)
+    truth = errors.std * rng.standard_normal(len(errors))
+    stance = Stance(SOLES, readings(parameters, errors, truth, 60, rng))
+    p, theta = len(parameters), np.zeros(len(errors))
+    for _ in range(2):
+        point = LinearizationPoint(parameters.values, theta)
+        rows = closure_rows([stance], parameters, errors, point)
+        assert rows.rows.shape == (len(errors), p + len(errors))
+        assert not rows.rows[:, :p].any()
+        A, information = rows.rows[:, p:], np.diag(errors.std**-2)
+        covariance = np.linalg.inv(A.T @ A + information)
+        theta = covariance @ A.T @ rows.targets
+    # They determine many combinations, not all: a common scale changes no relative pose's change.
+    ratios = np.linalg.eigvalsh(A.T @ A * np.outer(errors.std, errors.std))
+    assert np.sum(ratios > 100) > 5
+    assert np.sum(ratios < 1e-9) > 5
+    left = theta - truth
+    assert left @ np.linalg.solve(covariance, left) / len(errors) < 1.5
+    # Rows are exact at the true errors.
+    at_truth = closure_rows([stance], parameters, errors, LinearizationPoint(None, truth))
+    assert np.linalg.norm(at_truth.rows[:, p:] @ truth - at_truth.targets) < 0.3
+
+
+def test_points_that_roll_give_no_rows(parameters, caplog):
+    errors = errors_of(parameters)
+    position = 0.2 * np.random.default_rng(1).standard_normal((50, len(parameters.model.joints)))
+    point = LinearizationPoint(parameters.values, np.zeros(len(errors)))
+    assert closure_rows([Stance(SOLES, position)], parameters, errors, point) is None
+    assert "soles moved" in caplog.text
+    assert closure_rows([], parameters, errors, point) is None
+
+
+def test_stances_are_where_two_feet_are_loaded():
+    robot = random_robot(1, links=6)  # with both wrench sensors on moving links
+    parameters = ParameterSet(robot)
+    segment = analytic_segment(parameters, 8.0, 3, rate=200.0)
+    weight = 9.81 * robot.phi[:, 0].sum()
+    wrenches = np.zeros_like(segment.wrenches)
+    wrenches[:, :, 5] = 0.5 * weight
+    time = 1e-9 * segment.stamp
+    wrenches[(time > 3) & (time < 4), 0, 5] = 0.01 * weight
+    stances = find_stances([replace(segment, wrenches=wrenches)], robot)
+    assert [len(one.position) for one in stances] == [60, 80]
+    for one in stances:
+        assert one.soles == segment.wrench_frames
