@@ -59,8 +59,10 @@ def simulate(
     Without, the Symbitron carries out a scenario.
 
     [b]Scenarios[/b]: in [b]smooth[/b] and [b]vibrating[/b] the robot stands and moves its centre
-    of mass. In [b]squat[/b] it moves mostly up and down. In [b]suspended[/b] it hangs from an
-    overhead support that rocks it. In [b]tare[/b] it hangs at rest for 5 s and the force plates
+    of mass. In [b]squat[/b] it moves mostly up and down. In [b]one_leg[/b] it stands on each leg
+    in turn while the other foot makes --moves moves in the air, 1.3 s each. In [b]stepping[/b] it
+    makes --moves slow steps, forward and back. In [b]suspended[/b] it hangs from an overhead
+    support that rocks it. In [b]tare[/b] it hangs at rest for 5 s and the force plates
     carry no load; --moves and --motion-seed have no effect.
 
     [b]Systematic errors[/b]: each one depends only on its name and --error-seed.

@@ -161,6 +161,43 @@ class ControllerModel:
         np.subtract(self._sites.take(self._soles, 0), self.com, self.sole_arms)
         mujoco.mj_solveM(model, data, self.response, self._causes)
 
+    @property
+    def trunk_rotation(self) -> FloatArray:
+        """(3, 3) rotation from base to world axes."""
+        return np.asarray(self._data.xmat[self.model.jnt_bodyid[0]].reshape(3, 3))
+
+    def sole_pose(self, sole: int) -> tuple[FloatArray, FloatArray]:
+        """Return position (3,) and rotation (3, 3) to world axes of a sole's frame, m."""
+        site = self._soles[sole]
+        return self._data.site_xpos[site], self._data.site_xmat[site].reshape(3, 3)
+
+    def pivot(self, sole: int) -> FloatArray:
+        """Return the position (3,) of the joint that carries a foot, in the world, m."""
+        return np.asarray(self._data.xanchor[self.model.body_jntadr[self._feet[sole]]])
+
+    def roll_inertia(self, stance: int) -> FloatArray:
+        """Return the roll momentum caused by unit rates of trunk roll and of sideways motion, (2,).
+
+        The angular momentum about the centre of mass and world x, per roll rate of the trunk
+        (kg m²) and per sideways velocity of the centre of mass (kg m), while it moves in no other
+        direction, the trunk does not pitch, the stance sole is at rest, and the other soles
+        neither move nor roll or pitch.
+        """
+        model, data = self.model, self._data
+        momentum, com = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        base = int(model.jnt_bodyid[0])
+        mujoco.mj_angmomMat(model, data, momentum, base)
+        mujoco.mj_jacSubtreeCom(model, data, com, base)
+        trunk = np.zeros((3, model.nv))
+        trunk[:, 3:6] = self.trunk_rotation
+        rows = [com, trunk[:2]]
+        for sole in range(len(self._soles)):
+            jacobian = self.sole_jacobian[6 * sole : 6 * sole + 6]
+            rows.append(jacobian if sole == stance else jacobian[[0, 1, 3, 4, 5]])
+        causes = np.zeros((sum(map(len, rows)), 2))
+        causes[3, 0] = causes[1, 1] = 1.0
+        return np.asarray(momentum[0] @ np.linalg.lstsq(np.vstack(rows), causes, rcond=None)[0])
+
     def _require_definite(self, time: float) -> None:
         # MuJoCo would replace a negative pivot by a tiny positive one and continue.
         mujoco.mj_fullM(self.model, self._data, self._inertia)

@@ -24,7 +24,8 @@ class SimulateOptions:
     )
     moves: int = option(
         20,
-        "Number of moves of the centre of mass or the hook; tare has none.",
+        "Number of moves of the centre of mass, the hook or each lifted foot, or of steps; tare: "
+        "none.",
         minimum=1,
         maximum=100_000,
     )

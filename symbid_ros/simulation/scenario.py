@@ -15,6 +15,11 @@ from symbid_ros.simulation.controller import (
     Controller,
     DegradedFeedback,
 )
+from symbid_ros.simulation.footsteps import (
+    FootstepTask,
+    draw_one_leg_task,
+    draw_stepping_task,
+)
 from symbid_ros.simulation.overhead_support import (
     JointController,
     OverheadSupport,
@@ -22,6 +27,7 @@ from symbid_ros.simulation.overhead_support import (
     settle_passive_joints,
 )
 from symbid_ros.simulation.plant import Plant, RobotFailureError, Truth
+from symbid_ros.simulation.stepping_controller import SteppingController, SteppingGains
 from symbid_ros.simulation.trajectory import MoveRange, Trajectory, draw_trajectory
 
 SOLES = ("left_sole", "right_sole")
@@ -178,6 +184,20 @@ def _vibrating(plant: Plant, moves: int, seed: int) -> Scenario:
     return Scenario(controller, None, standing.duration)
 
 
+def _one_leg(plant: Plant, moves: int, seed: int) -> Scenario:
+    return _stepping_scenario(plant, draw_one_leg_task(plant, SOLES, moves, seed))
+
+
+def _stepping(plant: Plant, moves: int, seed: int) -> Scenario:
+    return _stepping_scenario(plant, draw_stepping_task(plant, SOLES, moves, seed))
+
+
+def _stepping_scenario(plant: Plant, task: FootstepTask) -> Scenario:
+    # A copy, as in `_standing`.
+    controller = SteppingController(copy.copy(plant.model), task, SOLES, SteppingGains())
+    return Scenario(controller, None, task.duration)
+
+
 def _suspended(plant: Plant, moves: int, seed: int) -> Scenario:
     hook = draw_trajectory(np.zeros(3), moves, HOOK_TURNS, np.random.default_rng([seed, 0]))
     legs = draw_trajectory(_leg_pose(plant), moves, LEG_MOVES, np.random.default_rng([seed, 1]))
@@ -214,6 +234,8 @@ SCENARIOS: dict[str, Callable[[Plant, int, int], Scenario]] = {
     "smooth": _smooth,
     "squat": _squat,
     "vibrating": _vibrating,
+    "one_leg": _one_leg,
+    "stepping": _stepping,
     "suspended": _suspended,
     "tare": _tare,
 }

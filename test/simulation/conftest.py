@@ -46,7 +46,12 @@ def suspended() -> Run:
     return simulate("suspended", moves=6, motion_seed=5)
 
 
-@pytest.fixture(params=["smooth", "squat", "vibrating", "suspended"])
+@pytest.fixture(scope="session")
+def stepping() -> Run:
+    return simulate("stepping", moves=1, motion_seed=2)
+
+
+@pytest.fixture(params=["smooth", "squat", "vibrating", "stepping", "suspended"])
 def run(request: pytest.FixtureRequest) -> Run:
     return request.getfixturevalue(request.param)
 
