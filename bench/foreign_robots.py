@@ -1,10 +1,12 @@
 """Default options on robots of example-robot-data, judged against the noise-free truth.
 
 Usage: .venv/bin/python bench/foreign_robots.py [--robots ur5 anymal] [--draws 1] [--seconds 60]
+[--rate 250] [--effort-noise 0.1]
 
 Prints a Markdown table. The model file of each draw is wrong by up to 25 % in every link, and the
 robot moves at random: an arm on a fixed base, a legged robot with all feet on the ground. Encoders,
-efforts, IMU and foot sensors are noisy; efforts by 0.1 % of a joint's largest effort.
+efforts, IMU and foot sensors are noisy; efforts by 0.1 % of a joint's largest effort. Any robot of
+the package can be named by its file, or by folder/file.
 
 - friction: `absent` or `present` (viscous, Coulomb and armature); `stated`: the file states values,
   wrong by up to 50 %, or placeholders if there is none
@@ -19,17 +21,15 @@ efforts, IMU and foot sensors are noisy; efforts by 0.1 % of a joint's largest e
 import argparse
 import logging
 from dataclasses import dataclass, replace
-from importlib.metadata import files
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from package_robots import carrying_components, legs, load_robot, posture, standing
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 import symbid_ros as sy
-from symbid_ros.choices import Base
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
@@ -40,22 +40,8 @@ from symbid_ros.model.parameters import ParameterSet
 
 FloatArray = NDArray[np.float64]
 
-ARMS = {
-    "ur5": "ur5_robot.urdf",
-    "ur10": "ur10_robot.urdf",
-    "xarm7": "xarm7.urdf",
-    "panda": "panda.urdf",
-    "z1": "z1.urdf",
-    "kinova": "kinova.urdf",
-}
-# Feet of each legged robot.
-LEGGED = {
-    "anymal": ("anymal.urdf", ("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT")),
-    "solo12": ("solo12.urdf", ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")),
-    "a1": ("a1.urdf", ("FL_foot", "FR_foot", "RL_foot", "RR_foot")),
-    "go2": ("go2.urdf", ("FL_foot", "FR_foot", "RL_foot", "RR_foot")),
-    "hyq": ("hyq_no_sensors.urdf", ("lf_foot", "rf_foot", "lh_foot", "rh_foot")),
-}
+ARMS = "ur5", "ur10", "xarm7", "panda", "z1", "kinova"
+LEGGED = "anymal", "solo12", "a1", "go2", "hyq"
 FRICTION = ("absent", "absent, stated", "present", "present, stated")
 RATE = 250.0  # Hz
 MODEL_ERROR = 25.0  # %
@@ -67,7 +53,18 @@ ENCODER, GYRO, ACCELEROMETER = 2e-5, 2e-3, 2e-2  # rad, rad/s, m/s²
 EFFORT, FORCE = 1e-3, 1e-3
 LARGEST = 5.0  # times the RMS effort; files state limits of 1000 Nm for small drives
 SLIPS = 0.05  # rad/s; Coulomb friction of slower joints is undefined
+LEVER = 0.1  # m; noise of a foot's moments over that of its forces
 TILT, SHIFT = 0.12, 0.025  # of a standing base: rad and m
+SWING = 0.5  # rad or m; of joints that are not in legs
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Length (s) and rate (Hz) of a log, and effort noise as a share of the largest effort."""
+
+    seconds: float = 60.0
+    rate: float = RATE
+    effort_noise: float = EFFORT
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,10 @@ def main() -> None:
     options.add_argument("--draws", type=int, default=1)
     options.add_argument("--seed", type=int, default=100)
     options.add_argument("--seconds", type=float, default=60.0)
+    options.add_argument("--rate", type=float, default=RATE, help="Hz")
+    options.add_argument("--effort-noise", type=float, default=100 * EFFORT, help="%%")
     given = options.parse_args()
+    setup = Setup(given.seconds, given.rate, given.effort_noise / 100)
     logging.disable(logging.WARNING)
     columns = "robot", "friction", "prior %", "default %", "by hand %", "expected %", "ratio"
     columns = *columns, "covered", "alarms"
@@ -99,7 +99,7 @@ def main() -> None:
         for name in given.robots:
             for friction in given.friction:
                 trials = [
-                    trial(name, friction, given.seed + number, given.seconds)
+                    trial(name, friction, given.seed + number, setup)
                     for number in range(given.draws)
                 ]
                 print(table_row(name, friction, trials), flush=True)
@@ -120,30 +120,20 @@ def table_row(name: str, friction: str, trials: list[Trial]) -> str:
     )
 
 
-def load_robot(name: str, base: Base | None = None) -> tuple[sy.RobotModel, tuple[str, ...]]:
-    """Return a robot and its feet; legged robots float unless a base is named."""
-    file, feet = LEGGED[name] if name in LEGGED else (ARMS[name], ())
-    for each in files("example-robot-data") or ():
-        if each.name == file:
-            path = Path(str(each.locate()))
-            return sy.load_model(path, base or ("floating" if feet else "fixed")), feet
-    raise SystemExit(f"example-robot-data has no {file}")
-
-
-def trial(name: str, friction: str, seed: int, seconds: float) -> Trial:
+def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
     """Simulate a log, identify it with default options and with named terms, and judge both."""
     robot, feet = load_robot(name)
     rng = np.random.default_rng(seed)
-    motion = move(robot, feet, rng, seconds)
+    motion = move(robot, feet, rng, setup.seconds, setup.rate)
     size = np.sqrt(np.mean(torque(plain(robot), motion) ** 2, axis=0))
     size = np.maximum(size, 0.05 * size.max())
     truth = with_friction(robot, friction.startswith("present"), size, rng)
-    log = record(truth, motion, size, rng)
+    log = record(truth, motion, size, rng, setup.effort_noise)
     model = inaccurate(truth, friction.endswith("stated"), size, seed, rng)
     terms = "viscous,coulomb,armature" if friction.startswith("present") else "none"
     found = sy.identify(model, log)
     by_hand = sy.identify(model, log, joint_terms=(terms,), no_holdout=True)
-    other = move(robot, feet, rng, 20.0)
+    other = move(robot, feet, rng, 20.0, setup.rate)
     true = torque(truth, other)
     slips = np.abs(other.velocity) > SLIPS
     scale = np.sqrt(np.mean(true[slips] ** 2))
@@ -210,32 +200,39 @@ def inaccurate(
 
 
 def move(
-    robot: sy.RobotModel, feet: tuple[str, ...], rng: np.random.Generator, seconds: float
+    robot: sy.RobotModel,
+    feet: tuple[str, ...],
+    rng: np.random.Generator,
+    seconds: float,
+    rate: float = RATE,
 ) -> Samples:
     """Return a random motion with the wrenches of the feet, and no efforts yet."""
-    time = np.arange(0.0, seconds, 1 / RATE)
+    time = np.arange(0.0, seconds, 1 / rate)
     if not feet:
         position = robot.apply_mimics(waves(rng, time, len(robot.joints), LARGEST_SPEED / 2))
         rest = np.zeros((len(time), 3))
         return samples(time, position, rest, rest, rest - robot.gravity)
     rotation = Rotation.from_euler("xyz", waves(rng, time, 3, 1.0, TILT))
     place = waves(rng, time, 3, 1.0, SHIFT)
-    position = standing(robot, feet, rotation, place)
-    turn = make_interp_spline(time, rotation.as_quat(), k=5).derivative()(time)
+    position = np.tile(posture(robot), (len(time), 1))
+    others = np.flatnonzero(~legs(robot, feet))
+    position[:, others] += waves(rng, time, len(others), LARGEST_SPEED / 2, SWING)
+    wanted = robot.apply_mimics(position)
+    rotation, place, position = standing(robot, feet, rotation, place, wanted)
+    turn = make_interp_spline(time, rotation.as_quat(canonical=True), k=5).derivative()(time)
     # ω in base axes is twice the vector part of q⁻¹ q̇.
-    omega = 2 * products(rotation.inv().as_quat(), turn)[:, :3]
+    omega = 2 * products(rotation.inv().as_quat(canonical=True), turn)[:, :3]
     alpha = make_interp_spline(time, omega, k=5).derivative()(time)
     upwards = np.array([0.0, 0.0, 9.81])
     world = make_interp_spline(time, place, k=5).derivative(2)(time) + upwards
     motion = samples(time, position, omega, alpha, rotation.inv().apply(world))
     motion = replace(motion, wrenches=np.zeros((len(time), len(feet), 6)), wrench_frames=feet)
     owed = base_wrench(robot, motion)
-    poses = link_poses(robot, position)
-    effect = contact_jacobian(robot, feet, poses).reshape(len(time), len(feet), 6, -1)
-    # Forces without moments, with the smallest sum of squares; each row of `effect` is its wrench.
-    forces = effect[:, :, 3:, :6].reshape(len(time), 3 * len(feet), 6)
-    shares = forces @ np.linalg.solve(forces.transpose(0, 2, 1) @ forces, owed[..., None])
-    motion.wrenches[:, :, 3:] = shares.reshape(len(time), len(feet), 3)
+    held = carrying_components(feet)
+    # Wrenches with the smallest sum of squares; each row of `effect` is that of a component.
+    effect = contact_jacobian(robot, feet, link_poses(robot, position))[:, held, :6]
+    shares = effect @ np.linalg.solve(effect.transpose(0, 2, 1) @ effect, owed[..., None])
+    motion.wrenches.reshape(len(time), -1)[:, held] = shares[..., 0]
     return motion
 
 
@@ -277,53 +274,6 @@ def products(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.column_stack([vector, first[:, 3] * second[:, 3] - np.sum(u * v, axis=1)])
 
 
-def standing(
-    robot: sy.RobotModel, feet: tuple[str, ...], rotation: Rotation, place: FloatArray
-) -> FloatArray:
-    """Return joint positions (N, J) that keep the feet where a crouched robot has them.
-
-    Newton steps of each leg of three joints; the legs do not affect each other.
-    """
-    legs = [np.flatnonzero(robot.ancestors[:, robot.frame(foot).link]) for foot in feet]
-    # Hips straight, and knees half bent within their range.
-    crouched = np.zeros(len(robot.joints))
-    for _, hip, knee in legs:
-        joint = robot.joints[knee]
-        bent = 1.5 if joint.lower + joint.upper > 0 else -1.5
-        crouched[[hip, knee]] = -0.5 * bent, bent
-
-    def reached(position: FloatArray) -> FloatArray:
-        poses = link_poses(robot, position)
-        frames = [robot.frame(foot) for foot in feet]
-        return np.stack(
-            [
-                poses.position[:, one.link] + poses.rotation[:, one.link] @ one.translation
-                for one in frames
-            ],
-            axis=1,
-        )
-
-    goal = np.stack(
-        [rotation.inv().apply(foot - place) for foot in reached(crouched[None])[0]], axis=1
-    )
-    position = np.tile(crouched, (len(place), 1))
-    step = 1e-6
-    for _ in range(12):
-        here = reached(position)
-        slopes = np.empty((len(place), len(feet), 3, 3))
-        for number in range(3):
-            moved = position.copy()
-            for leg in legs:
-                moved[:, leg[number]] += step
-            slopes[..., number] = (reached(moved) - here) / step
-        change = np.linalg.solve(slopes, (goal - here)[..., None])[..., 0]
-        for index, leg in enumerate(legs):
-            position[:, leg] += change[:, index]
-    if np.abs(reached(position) - goal).max() > 1e-9:
-        raise SystemExit(f"{robot.source}: its feet cannot stay in place")
-    return position
-
-
 def base_wrench(robot: sy.RobotModel, motion: Samples) -> FloatArray:
     """Return the wrench (N, 6) that moves the base without any contact."""
     parameters = ParameterSet(robot)
@@ -344,12 +294,16 @@ def torque(robot: sy.RobotModel, motion: Samples) -> FloatArray:
 
 
 def record(
-    truth: sy.RobotModel, motion: Samples, size: FloatArray, rng: np.random.Generator
+    truth: sy.RobotModel,
+    motion: Samples,
+    size: FloatArray,
+    rng: np.random.Generator,
+    effort_noise: float = EFFORT,
 ) -> sy.Log:
     """Return the noisy log of a motion of the true robot."""
     efforts = torque(truth, motion)
     limits = np.array([joint.effort for joint in truth.joints])
-    noise = EFFORT * np.minimum(limits, LARGEST * size)
+    noise = effort_noise * np.minimum(limits, LARGEST * size)
     imus, wrenches = {}, {}
     if truth.floating:
         read = np.hstack([motion.base_angular_velocity, motion.base_specific_force])
@@ -357,9 +311,12 @@ def record(
         imus[truth.link_names[0]] = read + deviation * rng.normal(size=read.shape)
         weight = 9.81 * truth.phi[:, 0].sum()
         for index, foot in enumerate(motion.wrench_frames):
-            exact = motion.wrenches[:, index, 3:]
-            read = exact + FORCE * weight * rng.normal(size=exact.shape)
-            wrenches[foot] = np.hstack([read, np.zeros_like(read)])
+            moment, force = np.split(motion.wrenches[:, index], 2, axis=1)
+            force = force + FORCE * weight * rng.normal(size=force.shape)
+            # The moments of a point are zero, and not measured.
+            if moment.any():
+                moment = moment + LEVER * FORCE * weight * rng.normal(size=moment.shape)
+            wrenches[foot] = np.hstack([force, moment])
     measured = [truth.joint_names.index(name) for name in truth.measured_joint_names]
     position = motion.position + ENCODER * rng.normal(size=motion.position.shape)
     efforts = efforts + noise * rng.normal(size=efforts.shape)

@@ -55,7 +55,35 @@ def test_the_doctor_claims_no_gain_of_a_joint_that_rubs_far_more_than_it_carries
     assert diagnose(log, model).findings == ()
 
 
+def test_the_doctor_claims_no_gain_of_wheels_that_are_balanced() -> None:
+    """The file's wheels have masses off the axis, which would need 50 times the torque."""
+    robot, _ = foreign_robots.load_robot("tiago_no_hand")
+    rng = np.random.default_rng(101)
+    motion = foreign_robots.move(robot, (), rng, 15.0)
+    robot = foreign_robots.plain(robot)
+    size = np.sqrt(np.mean(foreign_robots.torque(robot, motion) ** 2, axis=0))
+    size = np.maximum(size, 0.05 * size.max())
+    model = foreign_robots.inaccurate(robot, False, size, 101, rng)
+    diagnosis = diagnose(foreign_robots.record(robot, motion, size, rng), model)
+    assert {one.kind for one in diagnosis.findings} <= {Kind.EXCITATION}
+
+
+@pytest.mark.parametrize(
+    ("name", "feet"),
+    [
+        ("ur5", ()),
+        ("panda", ()),
+        ("anymal_c_simple_description/anymal", ("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT")),
+        ("talos_reduced", ("left_sole_link", "right_sole_link")),
+        ("bolt", ("FL_FOOT", "FR_FOOT")),
+    ],
+)
+def test_feet_are_the_lowest_ends_of_legs(name, feet) -> None:
+    robot, found = foreign_robots.load_robot(name)
+    assert (robot.floating, set(found)) == (bool(feet), set(feet))
+
+
 def test_an_arm_is_identified_with_default_options() -> None:
-    trial = foreign_robots.trial("z1", "present", 3, 12.0)
+    trial = foreign_robots.trial("z1", "present", 3, foreign_robots.Setup(12.0))
     assert trial.default < 0.01 * trial.prior
     assert trial.default < 1.5 * trial.by_hand
