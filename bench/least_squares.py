@@ -7,13 +7,15 @@ joint's residuals, and the solution of least norm. There is no prior.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from real_data import FloatArray, Recording, base_readings, low_pass
 from scipy.interpolate import make_interp_spline
 
 import symbid_ros as sy
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.kinematics import link_poses
 
 SLIPPING = 0.02  # rad/s; below it, a joint may stick
 RATE = 500.0  # Hz at most, at which columns are computed; a divisor of the log's rate
@@ -42,6 +44,8 @@ class Sampled:
         Of the rows' low-pass, Hz.
     kept : slice
         Instants of the rows.
+    contacts : (N, n, n) float64 or None
+        Projections onto the generalised forces that no force at a contact changes.
     slipping : float
         Speed below which a joint may stick, rad/s; its rows are not used.
     """
@@ -55,9 +59,12 @@ class Sampled:
     cutoff: float
     kept: slice
     slipping: float = SLIPPING
+    contacts: FloatArray | None = None
 
     def filtered(self, values: FloatArray) -> FloatArray:
         """Return values (N, ...) as rows (M, ...), filtered as the measured forces are."""
+        if self.contacts is not None:
+            values = np.einsum("tij,tj...->ti...", self.contacts, values)
         return low_pass(values, self.period, self.cutoff)[self.kept]
 
     @property
@@ -65,15 +72,22 @@ class Sampled:
         """(M, n) rows that are measured and whose joint slips."""
         used = np.isfinite(self.force)
         joints = self.velocity.shape[1]
-        if np.isfinite(self.force[:, -joints:]).any():
+        if self.contacts is None and np.isfinite(self.force[:, -joints:]).any():
             used[:, -joints:] &= np.abs(self.velocity[self.kept]) >= self.slipping
         return used
 
 
 def sample(
-    robot: sy.RobotModel, recording: Recording, cutoff: float, slipping: float = SLIPPING
+    robot: sy.RobotModel,
+    recording: Recording,
+    cutoff: float,
+    slipping: float = SLIPPING,
+    contacts: Sequence[str] = (),
 ) -> Sampled:
-    """Resample to a uniform clock, filter, differentiate, and choose the instants of the rows."""
+    """Resample to a uniform clock, filter, differentiate, and choose the instants of the rows.
+
+    Rows near pauses of the recording are not used.
+    """
     measured = float(np.median(np.diff(recording.time)))
     thinning = max(1, int(1 / (RATE * measured)))
     period = thinning * measured
@@ -96,11 +110,49 @@ def sample(
         force = np.hstack([wrench[:, 3:], wrench[:, :3], force])
         turn = np.gradient(imu[:, :3], measured, axis=0)
         base = sy.BaseMotion(*(each[::thinning] for each in (imu[:, :3], turn, imu[:, 3:])))
-    motion = (each[::thinning] for each in (position, velocity, acceleration))
-    force = force[::thinning]
+    if recording.imu is not None:
+        imu = uniform(recording.imu, MOTION * cutoff)
+        turn = np.gradient(imu[:, :3], measured, axis=0)
+        base = sy.BaseMotion(*(each[::thinning] for each in (imu[:, :3], turn, imu[:, 3:])))
+        force = np.hstack([np.zeros((len(force), 6)), uniform(recording.effort, MOTION * cutoff)])
+    position, velocity, acceleration, force, clock = (
+        each[::thinning] for each in (position, velocity, acceleration, force, clock)
+    )
     edge = round(EDGE / cutoff / period)
     kept = slice(edge, len(force) - edge, max(1, round(1 / (ROWS_PER_SECOND * period))))
-    return Sampled(*motion, base, force[kept], period, cutoff, kept, slipping)
+    motion = position, velocity, acceleration, base
+    if not contacts:
+        return Sampled(*motion, force[kept], period, cutoff, kept, slipping)
+    projections = contact_projections(robot, position, contacts)
+    found = Sampled(*motion, force[kept], period, cutoff, kept, slipping, projections)
+    projected = found.filtered(force)
+    projected[is_near_pause(recording.time, clock[kept], EDGE / cutoff)] = np.nan
+    return replace(found, force=projected)
+
+
+def contact_projections(
+    robot: sy.RobotModel, position: FloatArray, contacts: Sequence[str]
+) -> FloatArray:
+    """Return P (N, n, n): onto the generalised forces that no force at a contact changes.
+
+    P = 1 - J⁺ J with the Jacobian J of the contacts' points (Mistry, Buchli and Schaal 2010, ICRA).
+    """
+    poses = link_poses(robot, position)
+    jacobian = contact_jacobian(robot, tuple(contacts), poses)
+    forces = [6 * index + axis for index in range(len(contacts)) for axis in (3, 4, 5)]
+    J = jacobian[:, forces]
+    P: FloatArray = np.eye(J.shape[2]) - np.linalg.pinv(J) @ J
+    return P
+
+
+def is_near_pause(time: FloatArray, clock: FloatArray, margin: float) -> np.ndarray:
+    """Return which instants (M,) are within a margin (s) of a pause of a recording."""
+    steps = np.diff(time)
+    pauses = np.flatnonzero(steps > 20 * np.median(steps))
+    near = np.zeros(len(clock), bool)
+    for index in pauses:
+        near |= (clock > time[index] - margin) & (clock < time[index + 1] + margin)
+    return near
 
 
 def columns(

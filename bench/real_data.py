@@ -52,6 +52,8 @@ class Recording:
         Of a floating base in the world: position (m) and quaternion (xyzw).
     wrench : (N, 6) float64 or None
         Force plate on the body: force (N) and torque (Nm) about the world's origin, in world axes.
+    imu : (N, 6) float64 or None
+        Angular velocity (rad/s) and specific force (m/s²) of a floating base, in its axes.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Recording:
     effort: FloatArray
     pose: FloatArray | None = None
     wrench: FloatArray | None = None
+    imu: FloatArray | None = None
 
     def part(self, start: float, stop: float) -> "Recording":
         """Return the rows between two shares of the recording."""
@@ -88,6 +91,8 @@ class RealLog:
         Further columns of the reference, such as the coupling of two joints.
     published : mapping of str to Motion
         Published torques to be added to those of the model file's inertias.
+    contacts : tuple of str
+        Frames at which points without sensors touch the ground.
     """
 
     robot: sy.RobotModel
@@ -97,6 +102,7 @@ class RealLog:
     terms: tuple[str, ...] = ("viscous", "coulomb", "offset")
     extra: dict[str, Motion] | None = None
     published: dict[str, Motion] | None = None
+    contacts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -110,7 +116,7 @@ class RealData:
         Repository and commit.
     licence : str
     files : mapping of str to str
-        Path in the repository to SHA-256.
+        Path in the repository to SHA-256; of a folder, that of the text files one level below.
     convert : callable
         Reads the files, which are given in the order above.
     note : str
@@ -135,7 +141,7 @@ class RealData:
         found, missing = [], []
         for name in self.files:
             places = [folder / name, folder / Path(name).name]
-            here = next((place for place in places if place.is_file()), None)
+            here = next((place for place in places if place.exists()), None)
             found.append(here) if here else missing.append(name)
         if missing:
             raise MissingDataError(
@@ -145,7 +151,8 @@ class RealData:
 
 
 def sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    files = [path] if path.is_file() else sorted(path.glob("*/*.txt"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def tx40(files: Sequence[Path]) -> RealLog:
@@ -327,6 +334,18 @@ def load_without(urdf: Path, joint: str) -> sy.RobotModel:
         return sy.load_model(path, base="fixed")
 
 
+def load_with_joints(urdf: Path, names: Sequence[str]) -> sy.RobotModel:
+    """Load a URDF with a fixed base, all joints but some held at zero."""
+    tree = ET.parse(urdf)
+    for joint in tree.getroot().findall("joint"):
+        if joint.get("name") not in names:
+            joint.set("type", "fixed")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / urdf.name
+        tree.write(path)
+        return sy.load_model(path, base="fixed")
+
+
 @dataclass(frozen=True)
 class BaseReadings:
     """What an IMU at the base and a sensor of the plate's wrench there would read.
@@ -375,6 +394,8 @@ def to_log(robot: sy.RobotModel, recording: Recording) -> sy.Log:
     if recording.pose is not None:
         poses = {robot.links[0].name: recording.pose}
         sensors = {"poses": poses, "wrenches": {"world": recording.wrench}}
+    if recording.imu is not None:
+        sensors = {"imus": {robot.links[0].name: recording.imu}}
     return sy.Log.from_arrays(
         robot,
         time=recording.time,
@@ -393,7 +414,7 @@ def write_files(log: RealLog, folder: Path) -> None:
     SystemExit
         When the log has sensors other than those of joints, or the folder exists.
     """
-    if log.training.pose is not None:
+    if log.robot.floating:
         raise SystemExit("bags are written of logs of arms alone")
     try:
         folder.mkdir(parents=True)

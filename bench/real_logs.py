@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from further_data import FURTHER_DATA
 from least_squares import Sampled, Score, columns, sample, score, solve
 from real_data import REAL_DATA, FloatArray, MissingDataError, RealLog, sha256, to_log, write_files
 from threadpoolctl import threadpool_limits
@@ -29,10 +30,12 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.parameters import ParameterSet
 
+ALL_DATA = REAL_DATA | FURTHER_DATA
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("name", choices=sorted(REAL_DATA))
+    parser.add_argument("name", choices=sorted(ALL_DATA))
     parser.add_argument("--data", type=Path, required=True, metavar="DIR")
     parser.add_argument(
         "--option",
@@ -47,7 +50,7 @@ def main() -> None:
     asked = parser.parse_args()
     threadpool_limits(1)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
-    data = REAL_DATA[asked.name]
+    data = ALL_DATA[asked.name]
     try:
         files = data.find(asked.data)
     except MissingDataError as error:
@@ -71,8 +74,10 @@ def main() -> None:
 
 def report(log: RealLog, options: dict[str, object] | None) -> None:
     """Print the table; without options, of the references alone."""
-    training = sample(log.robot, log.training, log.cutoff)
-    heldout = sample(log.robot, log.heldout, log.cutoff)
+    training, heldout = (
+        sample(log.robot, part, log.cutoff, contacts=log.contacts)
+        for part in (log.training, log.heldout)
+    )
     length = (log.training.time[-1] - log.training.time[0], np.ptp(log.heldout.time))
     rows = heldout.is_used
     judged = np.flatnonzero(rows.any(axis=0))
@@ -123,7 +128,8 @@ def identified(
     if options is None:
         return
     begun = time.perf_counter()
-    result = sy.identify(log.robot, to_log(log.robot, log.training), **options)
+    named = {"contact": [f"{frame}:point" for frame in log.contacts]} if log.contacts else {}
+    result = sy.identify(log.robot, to_log(log.robot, log.training), **named | options)
     seconds = time.perf_counter() - begun
     words = ", ".join(f"{name}={value}" for name, value in options.items()) or "default options"
     yield f"symbid, {words}", score(heldout, predicted_force(result, heldout))
@@ -142,8 +148,10 @@ def predicted_force(result: sy.Result, samples: Sampled) -> FloatArray:
     robot = result.robot
     rest = np.zeros((count, 3))
     base = samples.base or sy.BaseMotion(rest, rest, rest - robot.gravity)
+    # Rows of a robot with unmeasured contacts are combined; these are projected.
+    parameters = replace(result._parameters, model=replace(result._parameters.model, contacts=None))
     rows = equation_of_motion(
-        result._parameters,
+        parameters,
         Samples(
             stamp=np.arange(count),
             position=samples.position,

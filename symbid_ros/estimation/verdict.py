@@ -228,8 +228,9 @@ def alarms(
     if posterior.chosen_scale > SUSPICIOUS_MODEL_SCALE:
         found.append(
             f"the data widened the prior of the inertias {posterior.chosen_scale:.1f} times, from "
-            f"±25 % to ±{25 * posterior.chosen_scale:.0f} % of the model's values: the model's "
-            "inertias, its kinematics, a sensor's gain or its calibration is wrong"
+            f"±25 % to ±{25 * posterior.chosen_scale:.0f} % of the model's values: the model lacks "
+            "a tool or payload, or its inertias, its kinematics, a sensor's gain or calibration is "
+            "wrong"
         )
     if posterior.prior_scale > SUSPICIOUS_SCALE:
         found.append(

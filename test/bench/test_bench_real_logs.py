@@ -7,13 +7,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import further_data
 import least_squares
 import numpy as np
 import pytest
 import real_data
 import real_logs
-from real_data import REAL_DATA
+from quadruped_log import FEET, quadruped_urdf
 from real_log_files import arm, motion, torque, write_table
+from real_logs import ALL_DATA as REAL_DATA
+
+import symbid_ros as sy
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.kinematics import link_poses
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -213,6 +219,62 @@ def test_the_plate_feels_the_motion_of_the_human(human_files) -> None:
     plate = real_data.to_log(log.robot, log.training).streams()
     assert plate.wrenches[0].force[:, 2].mean() == pytest.approx(60 * 9.81, rel=0.01)
     np.testing.assert_allclose(plate.imus[0].linear_acceleration[:, 2].mean(), 9.81, rtol=0.01)
+
+
+def test_kinova_reads_the_measured_torques(tmp_path) -> None:
+    run, urdf = files_of("kinova", tmp_path)
+    urdf.write_text(arm([f"joint_{index}" for index in range(1, 8)], RNG))
+    kinds = ["Position", "Torque", "TorqueSm"]
+    names = ",".join(["Time", *(f"{kind}{joint}" for kind in kinds for joint in range(1, 8))])
+    values = np.column_stack([np.arange(20.0), RNG.normal(size=(20, 21))])
+    write_table(run, names, values)
+    log = REAL_DATA["kinova"].convert([run, urdf])
+    np.testing.assert_allclose(log.training.position, values[:15, 1:8])
+    np.testing.assert_allclose(log.heldout.effort, values[15:, 15:])
+    assert np.diff(log.training.time) == pytest.approx(1e-3)
+
+
+def test_tiago_has_no_torque_of_its_torso_and_holds_other_joints(tmp_path) -> None:
+    positions, currents, urdf = files_of("tiago", tmp_path)
+    names = ["torso_lift_joint", *(f"arm_{index}_joint" for index in range(1, 8)), "gripper"]
+    urdf.write_text(arm(names, RNG))
+    values = RNG.normal(size=(6800, 9))
+    for path in (positions, currents):
+        write_table(path, ",".join(["t", *names[:8]]), values)
+    log = REAL_DATA["tiago"].convert([positions, currents, urdf])
+    assert list(log.robot.measured_joint_names) == names[:8]
+    assert np.isnan(log.training.effort[:, 0]).all()
+    gains = [13.6, 13.6, -8.7, -8.7, *[-20.5968] * 3]
+    np.testing.assert_allclose(log.training.effort[0, 1:], values[921, 2:] * gains)
+
+
+def test_the_clock_of_the_a1_follows_from_positions_and_velocities() -> None:
+    time = np.cumsum(RNG.uniform(1.0e-3, 1.4e-3, 600))
+    phase = np.arange(12) / 3
+    position = np.sin(5 * time[:, None] + phase)
+    found = further_data._clock(position, 5 * np.cos(5 * time[:, None] + phase))
+    np.testing.assert_allclose(np.gradient(found)[50:-50], 1.2e-3, rtol=0.1)
+    np.testing.assert_allclose(found, time - time[0], atol=0.01 * time[-1])
+
+
+def test_forces_at_named_contacts_change_no_projected_force(tmp_path) -> None:
+    path = tmp_path / "quadruped.urdf"
+    path.write_text(quadruped_urdf())
+    robot = sy.load_model(path, "floating")
+    q = RNG.uniform(-0.5, 0.5, (5, len(robot.measured_joint_names)))
+    P = least_squares.contact_projections(robot, q, FEET)
+    J = contact_jacobian(robot, FEET, link_poses(robot, q)).reshape(5, len(FEET), 6, -1)[:, :, 3:]
+    np.testing.assert_allclose(np.einsum("tij,tfaj->tifa", P, J), 0.0, atol=1e-9)
+    # A projection's trace is its rank.
+    rank = robot.dof - 3 * len(FEET)
+    np.testing.assert_allclose(np.trace(P, axis1=1, axis2=2), rank)
+
+
+def test_rows_near_pauses_are_left_out() -> None:
+    time = np.concatenate([np.arange(0, 1, 0.01), np.arange(2, 3, 0.01)])
+    clock = np.arange(0, 3, 0.1)
+    near = least_squares.is_near_pause(time, clock, 0.15)
+    np.testing.assert_array_equal(near, (clock > 0.84) & (clock < 2.15))
 
 
 def rows(velocity, force):

@@ -1,0 +1,157 @@
+"""Further public logs: an arm of 4.7 s, a mobile manipulator, and a robot with legs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from real_data import FloatArray, RealData, RealLog, Recording, load_with_joints
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+import symbid_ros as sy
+
+LEGS = ("FR", "FL", "RR", "RL")
+JUMP_FILES = ("joint_act.txt", "joint_des.txt", "torque.txt", "pos.txt")
+GRAVITY = np.array([0.0, 0.0, 9.81])  # m/s²
+TIAGO_ARM = tuple(f"arm_{index}_joint" for index in range(1, 8))
+
+
+def kinova(files: Sequence[Path]) -> RealLog:
+    """Read link-side torques of a Kinova Gen3 at 1 kHz; `TorqueSm` is measured."""
+    run, urdf = files
+    rows = np.genfromtxt(run, delimiter=",", names=True)
+    position, effort = (
+        np.column_stack([rows[f"{name}{joint}"] for joint in range(1, 8)])
+        for name in ("Position", "TorqueSm")
+    )
+    log = Recording("kinova", rows["Time"] / 1000.0, position, effort)
+    robot = sy.load_model(urdf, base="fixed")
+    return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), cutoff=10.0)
+
+
+def tiago(files: Sequence[Path]) -> RealLog:
+    """Read motor currents of a TIAGo's arm at 100 Hz, times gear ratios and torque constants.
+
+    The constants are those of the repository's identification.py, and so are the rows used. That of
+    the torso has none, so that its effort is left out.
+    """
+    positions, currents, urdf = files
+    names = ("torso_lift_joint", *TIAGO_ARM)
+    robot = load_with_joints(urdf, names)
+    # Nm/A: gear ratio times torque constant.
+    gains = np.array([np.nan, *[13.6] * 2, *[-8.7] * 2, *[336 * -0.0613] * 3])
+    motion, current = (
+        np.loadtxt(path, delimiter=",", skiprows=1)[921:6791] for path in (positions, currents)
+    )
+    order = [names.index(name) for name in robot.measured_joint_names]
+    effort = current[:, 1:] * gains
+    log = Recording("tiago", motion[:, 0], motion[:, 1:][:, order], effort[:, order])
+    return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), cutoff=5.0)
+
+
+def a1(files: Sequence[Path]) -> RealLog:
+    """Read twenty jumps of a Unitree A1 at about 900 Hz, with efforts that were commanded.
+
+    Fifteen are identified and five held out. The rows of each end when the gains of the controller
+    change. There is neither an IMU nor a clock: the accelerations are those of the state
+    estimator's velocity, and the time between rows follows from positions and velocities.
+    """
+    folder, urdf = files
+    robot = sy.load_model(urdf, base="floating")
+    names = [f"{leg}_{joint}_joint" for joint in ("hip", "thigh", "calf") for leg in LEGS]
+    order = [names.index(name) for name in robot.measured_joint_names]
+    runs = sorted((each for each in folder.iterdir() if (each / "pos.txt").is_file()), key=_number)
+    jumps = [_jump(each, order) for each in runs]
+    count = 3 * len(jumps) // 4
+    return RealLog(
+        robot,
+        _joined(jumps[:count]),
+        _joined(jumps[count:]),
+        cutoff=10.0,
+        contacts=tuple(f"{leg}_foot" for leg in LEGS),
+    )
+
+
+def _number(folder: Path) -> int:
+    return int(folder.name)
+
+
+def _jump(folder: Path, order: list[int]) -> Recording:
+    """Read one jump until the controller's gains change."""
+    joints, desired, torque, base = (np.loadtxt(folder / name)[:1095] for name in JUMP_FILES)
+    position, velocity = joints[:, :12], joints[:, 12:24]
+    # The log has the hips' efforts without those of the controller's gains, 400 and 4.
+    hips = 400 * (desired[:, :4] - position[:, :4]) + 4 * (desired[:, 12:16] - velocity[:, :4])
+    effort = np.hstack([torque[:, :4] + hips, torque[:, 12:20]])
+    time = _clock(position, velocity)
+    turn = Rotation.from_euler("ZYX", base[:, [8, 7, 6]])
+    step = (turn[:-2].inv() * turn[2:]).as_rotvec() / (time[2:] - time[:-2])[:, None]
+    rate = np.vstack([step[:1], step, step[-1:]])
+    felt = turn.inv().apply(np.gradient(base[:, :3], time, axis=0) + GRAVITY)
+    imu = np.hstack([rate, felt])
+    return Recording(folder.name, time, position[:, order], effort[:, order], imu=imu)
+
+
+def _clock(position: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Return the times (N,) at which integrated velocities are the positions."""
+    moved, speed = np.diff(position, axis=0), (velocity[1:] + velocity[:-1]) / 2
+    along, square = (gaussian_filter1d((each * speed).sum(axis=1), 25.0) for each in (moved, speed))
+    # Robots at rest show no time; rows are written every millisecond at best.
+    step = np.where(square > 1.0, np.clip(along / np.maximum(square, 1e-9), 8e-4, 2.5e-3), 1e-3)
+    return np.concatenate([[0.0], np.cumsum(step)])
+
+
+def _joined(runs: list[Recording], pause: float = 0.5) -> Recording:
+    """Return runs one after the other, with pauses (s) in which nothing was recorded."""
+    starts = np.cumsum([0.0, *(run.time[-1] + pause for run in runs[:-1])])
+    return Recording(
+        "a1",
+        np.concatenate([start + run.time for start, run in zip(starts, runs, strict=True)]),
+        *(np.concatenate([getattr(run, name) for run in runs]) for name in ("position", "effort")),
+        imu=np.concatenate([run.imu for run in runs]),
+    )
+
+
+FURTHER_DATA = {
+    "kinova": RealData(
+        "Kinova Gen3, 7 joints, link-side torques, 1 kHz, 4.7 s",
+        "https://github.com/wissem01chiha/dynamic-identification commit 3b3baef",
+        "CC0-1.0",
+        {
+            "pyDynaMapp/data/kinova/validation_data/opti_traj_testing1.csv": ""
+            "0c9229ae8882a43fb1aac59c1b527a0942a99dcb0fe2aed77e948091fe8bf274",
+            "pyDynaMapp/robot/kinova/gen3.urdf": ""
+            "798b384976d9e847f8896e29ac58b0581c1dbcb6bad2d5d8ed9474841b38e1f8",
+        },
+        kinova,
+        "The repository publishes no held-out error for this run.",
+    ),
+    "tiago": RealData(
+        "TIAGo, 7 joints of its arm, motor currents times published constants, 100 Hz, 59 s",
+        "https://github.com/thanhndv212/figaroh-examples commit c0b5c7f",
+        "Apache-2.0",
+        {
+            "examples/tiago/data/identification/dynamic/tiago_position.csv": ""
+            "4297a60d434ee89f1f424ad0da8ec65bc00072ac57eb06b94966c0819fc2786d",
+            "examples/tiago/data/identification/dynamic/tiago_effort.csv": ""
+            "12c635987705efade603426a600f5b315add7f580c720a4b84609dadb9d0a2e9",
+            "examples/tiago/urdf/tiago_48_schunk.urdf": ""
+            "e4412357e3ea141097acc835d81c4ac477f889ad99b05d2a9818ed9cdf9d12b6",
+        },
+        tiago,
+        "The repository publishes no held-out error.",
+    ),
+    "a1": RealData(
+        "Unitree A1, 12 joints, 20 jumps, commanded torques, no sensors in the feet, 900 Hz, 25 s",
+        "https://github.com/DRCL-USC/Learning_MPC_Jumping commit 79871b7; a1.urdf: "
+        "https://github.com/Gepetto/example-robot-data (pip install example-robot-data==6.0.0)",
+        "MIT; a1.urdf: BSD",
+        {
+            "residual_learning/data/mix-20traj": "6f5b583de73517abab82fd8c61fe079a"
+            "dc530f09ac4d1bb083cba39ee77703f0",
+            "a1.urdf": "48ddf0c904a271358e6f0e6b74c25bf3c704575888182b24c367761c92f46d43",
+        },
+        a1,
+        "The manufacturer states 12 kg; the model file has 13.7 kg.",
+    ),
+}
