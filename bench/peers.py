@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,6 +78,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--problems", nargs="+", default=list(SIMULATED))
     parser.add_argument("--data", type=Path, metavar="DIR")
+    parser.add_argument("--peers", nargs="*", choices=list(PEERS), default=list(PEERS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--python", type=Path, default=Path("build/peers/bin/python"))
     given = parser.parse_args()
@@ -92,7 +93,7 @@ def main() -> None:
     for name in given.problems:
         log = simulated(name, given.seed) if name in SIMULATED else real(name, given.data)
         moving = {"slipping": MOVING} if name in SIMULATED else {}
-        for title, outcome in outcomes(log, given.python, moving):
+        for title, outcome in outcomes(log, given.python, given.peers, moving):
             rows.append([name, title, *vars(outcome).values()])
             print(rows[-1], file=sys.stderr, flush=True)
     head = ["log", "program", "held-out error, %", "impossible links", "s", "lines"]
@@ -127,7 +128,9 @@ def simulated(name: str, seed: int) -> RealLog:
     return RealLog(model, *recordings, cutoff=10.0, terms=terms)
 
 
-def outcomes(log: RealLog, python: Path, moving: dict[str, float]) -> Iterator[tuple[str, Outcome]]:
+def outcomes(
+    log: RealLog, python: Path, peers: Sequence[str], moving: dict[str, float]
+) -> Iterator[tuple[str, Outcome]]:
     """Yield what each program makes of a problem."""
     training = sample(log.robot, log.training, log.cutoff)
     heldout = sample(log.robot, log.heldout, log.cutoff, **moving)
@@ -145,7 +148,8 @@ def outcomes(log: RealLog, python: Path, moving: dict[str, float]) -> Iterator[t
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_problem(log, heldout, folder)
-        for title, (stem, script) in PEERS.items():
+        for title in peers:
+            stem, script = PEERS[title]
             answer = subprocess.run(
                 [python.absolute(), script, folder], capture_output=True, text=True, check=False
             )

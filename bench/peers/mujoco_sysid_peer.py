@@ -25,6 +25,7 @@ STEP = 0.002  # s
 
 def build():
     urdf = mujoco.MjSpec.from_file("model.urdf")
+    urdf.compiler.boundmass, urdf.compiler.boundinertia = 1e-3, 1e-6  # of links without inertia
     urdf.compile()
     spec = mujoco.MjSpec.from_string(urdf.to_xml())
     spec.option.timestep = STEP
