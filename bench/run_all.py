@@ -64,6 +64,13 @@ SECTIONS = (
         plot="growth.svg",
     ),
     Section(
+        "Decimated rows",
+        "row_rates.py",
+        "Estimates by default, from rows at the full rate, and with the rows of NumPy.",
+        options="--draws 3 --moves 6",
+        quick="--draws 1 --moves 2",
+    ),
+    Section(
         "Growth with the number of workers",
         "cluster.py",
         "`symbid identify --dask` with a scheduler and workers on the same machine.",
