@@ -295,7 +295,7 @@ def _predict(predictor: ForcePredictor, part: PredictionRows) -> ForceRows:
         model=parameters.model,
         stamp=part.stamp,
         valid=valid,
-        y=part.rows.y,
+        y=part.rows.y.copy(),  # a view would keep the regressor in memory
         before=K @ predictor.original,
         after=K @ unknowns,
         effort=part.effort,
