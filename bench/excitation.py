@@ -154,6 +154,8 @@ def rehearse(plan: ExcitationPlan, draws: int, *, has_prior: bool = True) -> Non
     write_plan(plan, Path(folder.name) / "plan")
     trajectory = read_trajectory(Path(folder.name) / "plan", robot.measured_joint_names)
     names = problem.parameters.names
+    passive = {joint.name for joint in robot.joints if joint.effort == 0}  # simulated frictionless
+    known = plan.determined & [name.partition("/")[0] not in passive for name in names]
     ratios, own = [], []
     prior = Path(folder.name) / "prior.json"
     planning_prior(problem.parameters).write(prior)
@@ -183,7 +185,7 @@ def rehearse(plan: ExcitationPlan, draws: int, *, has_prior: bool = True) -> Non
         exact = true_values(truth)
         estimate = found.estimate
         place = {name: index for index, name in enumerate(estimate.names)}
-        some = [i for i, name in enumerate(names) if plan.determined[i] and name in place]
+        some = [i for i, name in enumerate(names) if known[i] and name in place]
         rows = [place[names[i]] for i in some]
         error = estimate.value[rows] - [exact[names[i]] for i in some]
         ratios.append(error / plan.std[some])
@@ -197,7 +199,7 @@ def rehearse(plan: ExcitationPlan, draws: int, *, has_prior: bool = True) -> Non
     print(f"| pooled | {rms(np.concatenate(ratios)):.2f} | {rms(np.concatenate(own)):.2f} | |")
     by_parameter = np.sqrt(np.mean(np.square(ratios), axis=0))
     worst = np.argsort(by_parameter)[::-1][:8]
-    chosen = [name for name, known in zip(names, plan.determined, strict=True) if known]
+    chosen = [name for name, is_known in zip(names, known, strict=True) if is_known]
     folder.cleanup()
     print("\nlargest:", ", ".join(f"{chosen[i]} {by_parameter[i]:.2f}" for i in worst))
 

@@ -113,7 +113,6 @@ def standing_simulator(
             has_friction=has_friction,
             effort=effort,
         ),
-        robot,
         trajectory,
         feet,
         sensors=sensors,

@@ -40,8 +40,6 @@ class JointTrajectory:
         Nm or N.
     base : (N, 7) float64, optional
         Position, m, and quaternion wxyz of a floating base.
-    com : (N, 3) float64, optional
-        Centre of mass of the model in the world, m.
     """
 
     names: tuple[str, ...]
@@ -49,7 +47,6 @@ class JointTrajectory:
     position: FloatArray
     effort: FloatArray | None = None
     base: FloatArray | None = None
-    com: FloatArray | None = None
 
     @property
     def duration(self) -> float:
@@ -76,8 +73,8 @@ def read_trajectory(path: Path, joints: Sequence[str]) -> JointTrajectory:
     """Read a trajectory of a robot from a CSV file, or from the folder of `symbid excite`.
 
     The first line names the columns: ``time``, and ``JOINT`` or ``JOINT/position`` for each joint
-    that moves. Efforts, ``JOINT/effort``, the base's pose and the centre of mass are read if all
-    their columns are present. ``JOINT/velocity`` and ``JOINT/acceleration`` are ignored.
+    that moves. Efforts, ``JOINT/effort``, and the base's pose are read if all their columns are
+    present. ``JOINT/velocity``, ``JOINT/acceleration`` and the centre of mass are ignored.
 
     Parameters
     ----------
@@ -140,6 +137,6 @@ def read_trajectory(path: Path, joints: Sequence[str]) -> JointTrajectory:
     efforts = [f"{name}/{EFFORT}" for name in places]
     others = [
         values[:, [header.index(name) for name in names]] if {*names} <= {*header} else None
-        for names in (efforts, BASE_POSE, CENTRE_OF_MASS)
+        for names in (efforts, BASE_POSE)
     ]
     return JointTrajectory(tuple(places), time - time[0], values[:, list(places.values())], *others)

@@ -7,8 +7,6 @@ from tempfile import TemporaryDirectory
 
 import mujoco
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.stance import Foot
@@ -16,12 +14,6 @@ from symbid_ros.errors import SimulationError
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.rotation import quaternion_from_rotation
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.simulation.controller import (
-    BalanceController,
-    BalanceGains,
-    BalanceTask,
-    Controller,
-)
 from symbid_ros.simulation.joint_sensors import BaseSensorOptions, JointSensorOptions
 from symbid_ros.simulation.joint_trajectory import JointTrajectory
 from symbid_ros.simulation.modified_robot import FRICTION_TIME_CONSTANT
@@ -46,11 +38,9 @@ VELOCITY_NOISE = 5e-3  # rad/s or m/s
 class StandingSimulator:
     """A robot that stands on a floor while its drives follow a trajectory.
 
-    MuJoCo simulates the true robot on a floor. The feet are free to slip and to lift. A robot on
-    points follows the positions and velocities of its joints, with the trajectory's efforts as feed
-    forward. One on soles follows its centre of mass and the turns of its base by the balance
-    controller. Both controllers know another model of the robot and, at 1 kHz, the true state; the
-    sensors are noisy.
+    MuJoCo simulates the true robot on a floor. The feet are free to slip and to lift. The drives
+    follow positions and velocities of the joints, with the trajectory's efforts as feed-forward,
+    at 1 kHz and with the true state; the sensors are noisy.
 
     It has the interface of :class:`symbid_ros.simulation.simulator.Simulator`, so that the same
     function records its bag.
@@ -59,10 +49,8 @@ class StandingSimulator:
     ----------
     truth : RobotModel
         The true robot, with its friction and armature.
-    controller_model : RobotModel
-        The robot whose links the controller knows.
     trajectory : JointTrajectory
-        With efforts, poses of the base and centres of mass; the feet are at height 0.
+        With efforts and poses of the base; the feet are at height 0.
     feet : sequence of Foot
     sensors, base_sensors : JointSensorOptions, BaseSensorOptions
     unmeasured : sequence of str
@@ -89,7 +77,6 @@ class StandingSimulator:
     def __init__(
         self,
         truth: RobotModel,
-        controller_model: RobotModel,
         trajectory: JointTrajectory,
         feet: Sequence[Foot],
         *,
@@ -99,10 +86,10 @@ class StandingSimulator:
         unmeasured: Sequence[str] = (),
         seed: int | None,
     ) -> None:
-        if trajectory.effort is None or trajectory.base is None or trajectory.com is None:
+        if trajectory.effort is None or trajectory.base is None:
             raise SimulationError(
-                f"{truth.source}: a robot that stands needs a trajectory with efforts, poses of "
-                "its base and centres of mass; give `trajectory` the folder of `symbid excite`",
+                f"{truth.source}: a robot that stands needs a trajectory with efforts and poses of "
+                "its base; give `trajectory` the folder of `symbid excite`",
                 "E924",
             )
         frames = tuple(foot.frame for foot in feet if foot.frame not in unmeasured)
@@ -114,13 +101,7 @@ class StandingSimulator:
         self.sample_rates = SampleRates()
         self._every = max(1, round(1 / (sensors.rate * PERIOD)))
         self.period_ns = round(self._every * PERIOD * 1e9)
-        controller: Controller
-        if any(foot.is_point for foot in feet):
-            controller = JointFollower(plant, trajectory, len(feet))
-        else:
-            known = _plant(controller_model, feet, (), trajectory).model
-            soles = tuple(foot.frame for foot in feet)
-            controller = BalanceController(known, _balance_task(trajectory), soles, BalanceGains())
+        controller = JointFollower(plant, trajectory, len(feet))
         self._run = ScenarioRun(plant, Scenario(controller, None, trajectory.duration))
         self.steps = self._run.steps // self._every
         order = [truth.joint_names.index(name) for name in plant.joint_names]
@@ -175,34 +156,6 @@ class _ChannelNoise:
         imu = np.repeat([self.base.gyro_noise, self.base.accelerometer_noise], 3)
         plate = np.roll(self.wrench, 3)  # force first
         return np.concatenate([self.position, velocity, self.effort, imu, np.tile(plate, wrenches)])
-
-
-class _Spline:
-    """Points (N, D) over time as a reference of the balance controller."""
-
-    def __init__(self, time: FloatArray, points: FloatArray) -> None:
-        spline = make_interp_spline(time, points, k=5)
-        self._orders = spline, spline.derivative(1), spline.derivative(2)
-        self.duration = float(time[-1])
-
-    def at(self, time: float) -> FloatArray:
-        """Return position, velocity and acceleration at ``time`` (s) as the rows of a (3, D)."""
-        if not 0.0 <= time < self.duration:
-            end = self._orders[0](min(max(time, 0.0), self.duration))
-            return np.stack([end, np.zeros_like(end), np.zeros_like(end)])
-        return np.stack([order(time) for order in self._orders])
-
-
-def _balance_task(trajectory: JointTrajectory) -> BalanceTask:
-    """Return the motion of centre of mass and base as the balance controller needs it."""
-    assert trajectory.base is not None
-    assert trajectory.com is not None
-    attitude = trajectory.base[0, 3:]
-    rotation = Rotation.from_quat(trajectory.base[:, [4, 5, 6, 3]])
-    turns = (rotation[0].inv() * rotation).as_rotvec()
-    return BalanceTask(
-        _Spline(trajectory.time, trajectory.com), attitude, _Spline(trajectory.time, turns)
-    )
 
 
 class JointFollower:

@@ -170,7 +170,7 @@ def test_the_true_robot_stands_while_it_follows_the_plan(plans, name):
         robot,
         folder,
         truth=TruthOptions(truth_seed=3),
-        has_friction=False,
+        has_friction=True,
         sensors=SENSORS,
         base_sensors=BaseSensorOptions(),
         seed=None,
@@ -189,9 +189,21 @@ def test_the_true_robot_stands_while_it_follows_the_plan(plans, name):
     assert vertical.min() > 0.02 * weight
     assert vertical.sum(axis=1).mean() == pytest.approx(weight, rel=0.01)
     assert np.abs(feet - plan.joints.stance.places[0]).max() < 0.005
-    wanted = plan.motion(np.arange(len(instants)) / SENSORS.rate)[0]
-    followed = position[:, [simulator.joint_names.index(joint) for joint in plan.joints.names]]
-    assert np.sqrt(np.mean((followed - wanted) ** 2)) < 0.05
+    # Slower joints would tell less than the plan promises.
+    wanted = plan.motion(np.arange(len(instants)) / SENSORS.rate)[1]
+    velocity = np.array([each.true_velocity for each in instants])
+    followed = velocity[:, [simulator.joint_names.index(joint) for joint in plan.joints.names]]
+    error = np.sqrt(np.mean((followed - wanted) ** 2, axis=0))
+    assert np.all(error < 0.25 * np.sqrt(np.mean(wanted**2, axis=0)))
+
+
+def test_only_rows_that_are_never_left_out_are_weighted_together(solo):
+    """A joint with friction sticks at times; its residual is then unknown."""
+    for terms, are_joined in (((), False), (("none",), True)):
+        options = ExciteOptions(feet=POINTS, joint_terms=terms, no_collision=True, **SHORT)
+        precision = excitation_problem(solo, options, SENSORS).design.expected.precision
+        assert np.any(precision[6:, :6]) == are_joined
+        assert np.linalg.matrix_rank(precision) == solo.dof
 
 
 def test_feet_without_sensors_leave_rows_without_their_forces(solo):
