@@ -35,9 +35,10 @@ DEVIATIONS = {
     "encoder_offset": (np.radians(0.11),),
     "compliance": (1e-4,),  # rad/Nm; logs replace it by one in proportion to the efforts
     "sensor_delay": (0.005,),  # s
-    "link_length": (0.0015,) * 3,  # m
-    "joint_axis": (np.radians(0.2),) * 3,
-    "frame_pose": (np.radians(0.2),) * 3,  # of wrench sensors; IMUs have that of plate_pose
+    # Uniform errors of up to 2 mm and 0.3 degrees.
+    "link_length": (0.0012,) * 3,  # m
+    "joint_axis": (np.radians(0.17),) * 3,
+    "frame_pose": (np.radians(0.17),) * 3,  # of wrench sensors; IMUs have that of plate_pose
     "drive_gain": (1.0,),  # relative to the first guess
 }
 UNITS = {
