@@ -173,10 +173,12 @@ def _states(segments: Iterable[Segment]) -> list[FloatArray]:
     for segment in segments:
         stride = max(1, round(PERIOD * segment.rate))
         step = max(1, round(STEP * segment.rate))
-        position = segment.position[:-step]
-        speed = (segment.position[step:] - position) * segment.rate / step
-        if len(position):
-            states.append(np.concatenate([position, speed], axis=1)[::stride])
+        # Indices copy; a slice would keep the states at all instants in memory.
+        places = np.arange(0, len(segment) - step, stride)
+        position = segment.position[places]
+        speed = (segment.position[places + step] - position) * segment.rate / step
+        if len(places):
+            states.append(np.concatenate([position, speed], axis=1))
     return states
 
 
