@@ -89,11 +89,11 @@ class Bench:
         """Return the errors as text, and the number of alarms."""
         options = IdentifyOptions(prior=self.prior, **known)
         found = BagRequest((log,), MODEL, options).load().solve()
-        value, truth = found.estimate.value, self.parameters.values
-        metrics = evaluate(self.parameters, {"it": value}, truth, self.motion)["it"]
-        known = summarise_intervals(
-            self.parameters, value, found.deviation_factor, truth, self.motion
-        )
+        # With the joint terms that the log asked for, if any.
+        parameters = ParameterSet.of_names(self.parameters.model, found.estimate.names)
+        value, truth = found.estimate.value, parameters.values
+        metrics = evaluate(parameters, {"it": value}, truth, self.motion)["it"]
+        known = summarise_intervals(parameters, value, found.deviation_factor, truth, self.motion)
         text = (
             f"{metrics.gen_force_rmse:8.3f} {metrics.torque_rmse:8.3f} "
             f"{metrics.com_position_rmse_mm:6.2f} ({known.com_std_mm:.2f})"
