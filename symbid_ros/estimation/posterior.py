@@ -40,10 +40,6 @@ MIN_INFORMATION, MIN_RELATIVE_INFORMATION = 1e-6, 1e-12
 # Range of the factor that the evidence may put on the prior's deviations. A payload that the model
 # lacks needs thousands on a last link of a few grams.
 SCALES = (1e-2, 1e4)
-# Smallest factor that is put on the deviations. They are those of two kinds of errors together, and
-# each alone has 1/√2 of their size. Less would be an inference from measured directions about
-# others, of which only the prior tells anything.
-LEAST_SCALE = 0.5**0.5
 
 
 @dataclass(frozen=True)
@@ -380,7 +376,7 @@ def posterior(
             correlation=correlation,
         )
         if empirical:
-            scale[:count] = max(square.evidence_scale(count), LEAST_SCALE)
+            scale[:count] = square.evidence_scale(count)
         before = x
         x, factor = square.minimum(scale)
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))

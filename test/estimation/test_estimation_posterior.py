@@ -197,7 +197,7 @@ def test_an_empirical_prior_is_as_wide_as_the_evidence_says(beyond):
     """The scale is that of the first parameters alone, and the remaining scale is 1."""
     log, prior, _ = case(4, count=200)
     count = len(prior.std) - beyond
-    wrong = prior.widened(np.where(np.arange(len(prior.std)) < count, 1 / 7, 1.0))
+    wrong = prior.widened(np.where(np.arange(len(prior.std)) < count, 7.0, 1.0))
     found = posterior(log.observations(), wrong, empirical=True, count=count)
     scale = found.prior.std / wrong.std
     np.testing.assert_allclose(scale[:count], scale[0])
@@ -208,7 +208,7 @@ def test_an_empirical_prior_is_as_wide_as_the_evidence_says(beyond):
     assert_posterior(again, found.mean, found.deviation_factor @ found.deviation_factor.T, 1e-5)
     assert again.prior_scale == pytest.approx(1, rel=1e-2)
     # Twenty or thirty parameters tell their own spread to about a fifth.
-    assert 0.5 < scale[0] / 7 < 1.8
+    assert 0.5 < 7 * scale[0] < 1.8
 
 
 @pytest.mark.parametrize("related", [False, True])
