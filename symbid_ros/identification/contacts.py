@@ -24,8 +24,8 @@ def with_contact_options(robot: RobotModel, options: ContactOptions) -> RobotMod
 def contact_alarms(model: RobotModel, before: FloatArray, after: FloatArray) -> tuple[str, ...]:
     """Return an alarm if the total mass of a robot with unmeasured contacts is implausible.
 
-    No measured wrench contradicts a contact that nobody named, or flags of one that carries weight
-    although they say that it does not. The efforts then hold another mass.
+    Without wrench sensors nothing else reveals a contact that was not named, or a flag that says
+    "lifted" while the foot carries weight. The efforts then imply another mass.
 
     Parameters
     ----------
