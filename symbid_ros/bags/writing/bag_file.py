@@ -87,11 +87,12 @@ class BagFile:
 
         Writing to such a file still succeeds.
         """
-        own = os.fstat(self._stream.fileno())
+        descriptor = self._stream.fileno()
         with suppress(FileNotFoundError, NotADirectoryError):
-            if os.path.samestat(own, self.path.stat()):
+            if os.path.samestat(os.fstat(descriptor), self.path.stat()):
                 return ""
-        return "moved" if own.st_nlink else "deleted"
+        # Links are counted only now: the file may have been deleted since the first look.
+        return "moved" if os.fstat(descriptor).st_nlink else "deleted"
 
     def sync(self) -> None:
         """Wait until all written data are on the disk."""
