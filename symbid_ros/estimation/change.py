@@ -163,7 +163,7 @@ def relaxed_prior(prior: Prior, parameters: ParameterSet, link: str) -> Prior:
     covariance = prior.factor @ prior.factor.T + np.diag(added**2)
     scaled = np.linalg.cholesky(covariance / np.outer(std, std))
     factor = std[:, None] * scaled
-    return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor)
+    return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor, alone=None)
 
 
 def discounted_pseudo_measurements(

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
@@ -40,6 +40,10 @@ MIN_INFORMATION, MIN_RELATIVE_INFORMATION = 1e-6, 1e-12
 # Range of the factor that the evidence may put on the prior's deviations. A payload that the model
 # lacks needs thousands on a last link of a few grams.
 SCALES = (1e-2, 1e4)
+# Deviation of the logarithm of the ratio of two factors: one kind of error may be e² times larger.
+RATIO_STD = 2.0
+# Steps of the search for the two factors, in their logarithms, and the slope at which it ends.
+SEARCH = {"initial_trust_radius": 0.5, "max_trust_radius": 1.0, "gtol": 1e-9}
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,8 @@ class Posterior:
         Factor on the deviations of ``prior`` that makes the data most probable; 1 if the evidence
         has chosen them.
     chosen_scale : float
-        Factor that the evidence has put on the deviations already; 1 if they are as stated.
+        Root mean square factor that the evidence has put on the deviations already; 1 if they are
+        as stated.
     is_scaled : bool
         Whether the evidence chose that factor.
     noise_share : float
@@ -284,8 +289,8 @@ class _Square:
             x, R = V @ (V.T @ target / least), np.sqrt(least)[:, None] * V.T
         return scale * x, R / scale
 
-    def evidence_scale(self, count: int) -> float:
-        """Return the factor λ on the first ``count`` deviations that makes the data most probable.
+    def evidence(self, count: int) -> "_Evidence":
+        """Return what the data tell about the deviations of the first ``count`` parameters.
 
         Σ is held constant (MacKay 1992, Neural Computation 4(3)), and noise in the regressor is
         subtracted here too.
@@ -304,8 +309,26 @@ class _Square:
         rows = np.column_stack([A[:, count:], A[:, :count], b])
         of_prior = np.eye(others, rows.shape[1])
         left = stacked_factor(rows, of_prior)[others:, others:]
-        U, values, _ = np.linalg.svd(left[:, :-1], full_matrices=False)
-        square, fit = values**2, (U.T @ left[:, -1]) ** 2
+        return _Evidence(left[:, :-1], left[:, -1])
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    """Rows A x = b of some parameters x, in prior deviations, with independent unit noise.
+
+    Attributes
+    ----------
+    A : (r, count) float64
+    b : (r,) float64
+    """
+
+    A: FloatArray
+    b: FloatArray
+
+    def common_scale(self) -> float:
+        """Return the factor λ on all deviations that makes the data most probable."""
+        U, values, _ = np.linalg.svd(self.A, full_matrices=False)
+        square, fit = values**2, (U.T @ self.b) ** 2
 
         def slope(log_scale: float) -> float:
             ratio = np.exp(2 * log_scale) * square
@@ -321,6 +344,46 @@ class _Square:
         if slope(low) * slope(high) >= 0:
             return float(np.exp(grid[best]))
         return float(np.exp(brentq(slope, low, high)))
+
+    def scales(self, share: FloatArray) -> FloatArray:
+        """Return the factors (count,) on the deviations if two kinds of errors have their sizes.
+
+        The variance of x_i is s_i λ² + (1 - s_i) μ². The factors λ and μ maximise the evidence
+        times a prior of their ratio, without which data that hold few directions of one kind
+        would make it vanish.
+
+        Parameters
+        ----------
+        share : (count,) float64
+            s, the share of the first kind.
+        """
+        shares, ratio = np.array([share, 1 - share]), np.array([1.0, -1.0]) / RATIO_STD
+
+        def cost(logs: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+            """Return the cost, its gradient (2,) and its Hessian (2, 2)."""
+            variances = np.exp(2 * logs)[:, None] * shares
+            C = cholesky((self.A * variances.sum(axis=0)) @ self.A.T + np.eye(len(self.b)))
+            Z = solve_triangular(C, np.column_stack([self.A, self.b]), trans="T")
+            Z, z = Z[:, :-1], Z[:, -1]
+            Q, q = Z.T @ Z, Z.T @ z
+            value = 2 * np.log(C.diagonal()).sum() + z @ z + (ratio @ logs) ** 2
+            gradient = 2 * variances @ (Q.diagonal() - q**2)
+            curvature = Q * (2 * np.outer(q, q) - Q)
+            bend = 2 * np.diag(gradient) + 4 * variances @ curvature @ variances.T
+            gradient = gradient + 2 * (ratio @ logs) * ratio
+            return float(value), gradient, bend + 2 * np.outer(ratio, ratio)
+
+        found = minimize(  # type: ignore[call-overload]
+            lambda logs: cost(logs)[0],
+            np.full(2, np.log(self.common_scale())),
+            jac=lambda logs: cost(logs)[1],
+            hess=lambda logs: cost(logs)[2],
+            method="trust-exact",
+            options=SEARCH,
+        )
+        logs = np.clip(found.x, *np.log(SCALES))
+        factors: FloatArray = np.sqrt(np.exp(2 * logs) @ shares)
+        return factors
 
 
 def posterior(
@@ -346,7 +409,8 @@ def posterior(
     pseudo_measurements : PseudoMeasurements, optional
         Further constraints with uncertainty, such as a weighing.
     empirical : bool
-        Whether the evidence chooses a common factor on the prior's deviations.
+        Whether the evidence chooses a common factor on the prior's deviations, or one for each
+        kind of error if the prior knows two.
     count : int, optional
         Number of leading parameters whose deviations the evidence judges, those of the links.
         All by default.
@@ -359,8 +423,10 @@ def posterior(
     correlation : (n,) float64, optional
         Factor on each coordinate's residual variance, for residuals that are correlated in time.
     """
-    mean, L = prior.mean, prior.covariance_factor()
+    mean = prior.mean
     count = len(mean) if count is None else count
+    has_two = empirical and prior.alone is not None
+    L, share = prior.kinds_of_errors(count)
     scale = np.ones(len(mean))
     x = np.zeros(len(mean)) if start is None else np.linalg.solve(L, start - mean)
     # Weights and solution alternate. Most iterations are the early ones, which need fewer digits.
@@ -376,7 +442,8 @@ def posterior(
             correlation=correlation,
         )
         if empirical:
-            scale[:count] = square.evidence_scale(count)
+            evidence = square.evidence(count)
+            scale[:count] = evidence.scales(share) if has_two else evidence.common_scale()
         before = x
         x, factor = square.minimum(scale)
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
@@ -388,14 +455,15 @@ def posterior(
         if approximate and not coarse:
             break
     phi = mean + L @ x
+    chosen = prior.with_root(L * scale) if has_two else prior.widened(scale)
     precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)
     return Posterior(
         mean=phi,
         factor=precision,
-        prior=prior.widened(scale),
+        prior=chosen,
         covariance=square.covariance,
-        prior_scale=1.0 if empirical else square.evidence_scale(count),
+        prior_scale=1.0 if empirical else square.evidence(count).common_scale(),
         noise_share=square.noise_share(scale),
-        chosen_scale=float(scale[0]),
+        chosen_scale=float(np.sqrt(np.mean((chosen.std / prior.std)[:count] ** 2))),
         is_scaled=empirical,
     )

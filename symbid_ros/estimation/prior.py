@@ -63,6 +63,10 @@ class Prior:
         None for independent parameters.
     assumed : tuple of str
         Parameters whose deviation is a default, because neither file nor user gives one.
+    alone : (p,) float64 or None
+        Deviation of each number by itself, if the covariance is that of two kinds of errors of
+        unknown sizes: links that are other bodies, and numbers that are wrong by themselves. None
+        if the sizes are known, or there is one kind.
 
     Raises
     ------
@@ -79,6 +83,7 @@ class Prior:
     std: FloatArray
     factor: FloatArray | None = None
     assumed: tuple[str, ...] = ()
+    alone: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Check that this is a distribution."""
@@ -96,12 +101,33 @@ class Prior:
         """Return the lower triangular L (p, p) with covariance L Lᵀ."""
         return np.diag(self.std) if self.factor is None else self.factor
 
+    def kinds_of_errors(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return a square root (p, p) of the covariance, and a share (count,) of its columns.
+
+        Errors along different columns are independent, whatever the sizes of the two kinds of
+        errors in the first ``count`` parameters are. The share is that of links that are other
+        bodies in the column's variance.
+        """
+        root = self.covariance_factor()
+        if self.alone is None:
+            return root, np.ones(count)
+        root, alone = root.copy(), self.alone[:count, None]
+        V, ratio, _ = np.linalg.svd(root[:count, :count] / alone)
+        root[:count, :count] = alone * V * ratio
+        return root, 1 - np.minimum(1 / ratio**2, 1.0)
+
     def widened(self, scale: FloatArray) -> "Prior":
         """Return the prior with column i of its covariance factor times ``scale[i]``."""
         if self.factor is None:
             return replace(self, std=scale * self.std)
         factor = self.factor * scale
-        return replace(self, std=np.linalg.norm(factor, axis=1), factor=factor)
+        alone = None if self.alone is None else scale * self.alone
+        return replace(self, std=np.linalg.norm(factor, axis=1), factor=factor, alone=alone)
+
+    def with_root(self, root: FloatArray) -> "Prior":
+        """Return the prior with the covariance root rootᵀ, whose sizes are known."""
+        std = np.linalg.norm(root, axis=1)
+        return replace(self, std=std, factor=_triangular(root), alone=None)
 
     def marginal(self, names: tuple[str, ...]) -> "Prior":
         """Return the prior of some parameters, in the order of ``names``."""
@@ -111,7 +137,9 @@ class Prior:
         factor = None
         if self.factor is not None:
             factor = _triangular(self.factor[index])
-        return replace(self, names=names, mean=self.mean[index], std=self.std[index], factor=factor)
+        alone = None if self.alone is None else self.alone[index]
+        mean, std = self.mean[index], self.std[index]
+        return replace(self, names=names, mean=mean, std=std, factor=factor, alone=alone)
 
     def for_columns(self, parameters: ParameterSet) -> "Prior":
         """Return the prior of ``parameters``, in their order.
@@ -126,7 +154,7 @@ class Prior:
         place = {name: index for index, name in enumerate(self.names)}
         held = np.array([name in place for name in names])
         index = [place[name] for name in names if name in place]
-        mean, std, factor = own.mean.copy(), own.std.copy(), None
+        mean, std, factor, alone = own.mean.copy(), own.std.copy(), None, None
         mean[held], std[held] = self.mean[index], self.std[index]
         if self.factor is not None:
             # The marginal covariance has the same rows of the factor; QR makes the factor
@@ -135,9 +163,14 @@ class Prior:
             root[held, : len(self.names)] = self.factor[index]
             root[~held, len(self.names) :] = np.diag(std)[~held]
             factor = _triangular(root)
+        if self.alone is not None:
+            alone = own.std.copy()
+            alone[held] = self.alone[index]
         added = tuple(name for name in own.assumed if name not in place)
         assumed = *(name for name in self.assumed if name in names), *added
-        return replace(self, names=names, mean=mean, std=std, factor=factor, assumed=assumed)
+        return replace(
+            self, names=names, mean=mean, std=std, factor=factor, assumed=assumed, alone=alone
+        )
 
     def extended(self, names: tuple[str, ...], mean: FloatArray, std: FloatArray) -> "Prior":
         """Return the prior with more parameters, independent of the others."""
@@ -148,6 +181,7 @@ class Prior:
             mean=np.concatenate([self.mean, mean]),
             std=np.concatenate([self.std, std]),
             factor=factor,
+            alone=None if self.alone is None else np.concatenate([self.alone, std]),
         )
 
     def write(self, path: Path) -> None:
@@ -236,7 +270,8 @@ def default_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) ->
     A link may be another body than in the file, as with :func:`consistent_prior`, and each number
     may be wrong by itself, as with :func:`model_prior`. Their covariances add up, because either
     alone is far too certain of a file with the other kind of error: a wrong mass beside a right
-    inertia contradicts the first, and a centre of mass beside the file's axis the second.
+    inertia contradicts the first, and a centre of mass beside the file's axis the second. The data
+    can tell the size of each kind, see :func:`~symbid_ros.estimation.posterior.posterior`.
 
     Raises
     ------
@@ -246,11 +281,13 @@ def default_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) ->
     prior = consistent_prior(parameters, percent)
     factor = prior.covariance_factor()
     variances = factor @ factor.T
+    alone = model_prior(parameters, percent).std
     links = np.arange(parameters.inertial)
-    variances[links, links] += model_prior(parameters, percent).std[links] ** 2
+    variances[links, links] += alone[links] ** 2
     std = np.sqrt(np.diag(variances))
     factor = std[:, None] * np.linalg.cholesky(variances / np.outer(std, std))
-    return replace(prior, kind=f"model, default {percent:g}", std=std, factor=factor)
+    kind = f"model, default {percent:g}"
+    return replace(prior, kind=kind, std=std, factor=factor, alone=alone)
 
 
 def planning_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:

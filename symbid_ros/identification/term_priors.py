@@ -26,7 +26,8 @@ def fixed_prior(prior: Prior, free: BoolArray) -> Prior:
     if prior.factor is None:
         return prior.widened(scale)
     factor = prior.factor * scale[:, None]
-    return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor)
+    alone = None if prior.alone is None else prior.alone * scale
+    return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor, alone=alone)
 
 
 def candidate_prior(

@@ -106,6 +106,75 @@ LEAST_OF_BANDS = 1.4236
 
 
 @dataclass(frozen=True)
+class CombinedCoordinates:
+    """Where the coordinates obey the equation of motion of which rows are combinations.
+
+    A row without unmeasured contacts contains all coordinates on which they act.
+
+    Attributes
+    ----------
+    model : RobotModel
+    measured : (N, n) bool, or shares of windows
+        Rows that are known.
+    obeys : (N, n) bool, or shares of windows
+        Single coordinates; false where a joint with friction may stick.
+    slips : (N, n) bool or None, or shares of windows
+        The same of candidate terms.
+    touching : (N, C) bool, or shares of windows
+        Which contacts without a sensor touch something.
+    """
+
+    model: RobotModel
+    measured: FloatArray | BoolArray
+    obeys: FloatArray | BoolArray
+    slips: FloatArray | BoolArray | None
+    touching: FloatArray | BoolArray
+
+    def averaged(self, weights: csr_array) -> "CombinedCoordinates":
+        """Return the shares of windows with ``weights`` (W, N)."""
+        slips = None if self.slips is None else weights @ self.slips
+        return CombinedCoordinates(
+            self.model,
+            weights @ self.measured,
+            weights @ self.obeys,
+            slips,
+            weights @ self.touching,
+        )
+
+    def __add__(self, other: "CombinedCoordinates") -> "CombinedCoordinates":
+        """Return the sum of shares that two parts of the samples have in windows."""
+        slips = None
+        if self.slips is not None and other.slips is not None:
+            slips = self.slips + other.slips
+        return CombinedCoordinates(
+            self.model,
+            self.measured + other.measured,
+            self.obeys + other.obeys,
+            slips,
+            self.touching + other.touching,
+        )
+
+    def valid(self) -> tuple[BoolArray, BoolArray | None]:
+        """Return which rows of windows (W, n) are valid, and which of them need no joint to slip.
+
+        Each joint must slip for most of the window, but all of them need not at the same time.
+        """
+        contacts = self.model.contacts
+        assert contacts is not None
+        # A coordinate's row has another meaning when a contact that acts on it opens or closes.
+        changes = (self.touching < SLIPPING) & (self.touching > 1 - SLIPPING)
+        known = (self.measured > SLIPPING) & ~(changes.astype(float) @ contacts.loads > 0)
+        touching = np.asarray(self.touching > 1 - SLIPPING)
+        valid, slips = (
+            None if each is None else _valid_combinations(self.model, each > SLIPPING, touching)
+            for each in (self.obeys, self.slips)
+        )
+        assert valid is not None
+        valid &= known
+        return valid, None if slips is None else slips & valid
+
+
+@dataclass(frozen=True)
 class SampledRows:
     """Rows at single samples.
 
@@ -119,18 +188,15 @@ class SampledRows:
         Coordinates at which the equation holds; false where a joint with friction may stick.
     slips : (N, n) bool or None
         Of candidate terms: valid coordinates except joints that may stick.
-    touching : (N, C) bool or None
-        Which contacts without a sensor touch something.
-    loads : (C, n) bool or None
-        Coordinates on which each of these contacts acts.
+    combined : CombinedCoordinates or None
+        What the rows are combinations of, on a robot with contacts that have no sensor.
     """
 
     stamp: IntArray
     rows: Rows
     valid: BoolArray
     slips: BoolArray | None = None
-    touching: BoolArray | None = None
-    loads: BoolArray | None = None
+    combined: CombinedCoordinates | None = None
 
 
 RowBuilder = Callable[[SensorSamples], Iterator[SampledRows]]
@@ -250,16 +316,20 @@ def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:
 
 
 def _valid_rows(parameters: ParameterSet, samples: Samples, rows: Rows) -> SampledRows:
-    touching, contacts = samples.touching, parameters.model.contacts
+    model, touching = parameters.model, samples.touching
+    obeys, slips = _single_coordinates(parameters, samples.velocity)
+    if model.contacts is None:
+        return valid_rows(samples.stamp, rows, obeys, slips)
+    if touching is None:
+        touching = np.ones((len(samples), len(model.contacts.frames)), dtype=bool)
+    combined = CombinedCoordinates(model, np.isfinite(rows.y), obeys, slips, touching)
     sampled = valid_rows(
         samples.stamp,
         rows,
-        valid_coordinates(parameters, samples.velocity, touching),
-        slipping_coordinates(parameters, samples.velocity, touching),
+        _valid_combinations(model, obeys, touching),
+        None if slips is None else _valid_combinations(model, slips, touching),
     )
-    if contacts is None or touching is None:
-        return sampled
-    return replace(sampled, touching=touching, loads=contacts.loads)
+    return replace(sampled, combined=combined)
 
 
 def valid_rows(
@@ -278,26 +348,46 @@ def valid_rows(
     return SampledRows(stamp, rows, valid, valid & slips)
 
 
-def valid_coordinates(
-    parameters: ParameterSet, velocity: FloatArray, touching: BoolArray | None = None
-) -> BoolArray:
+def valid_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
     """Return which coordinates (N, n) obey the equation of motion at joint rates (N, J).
 
     Joints with Coulomb friction, identified or known, do so only while they slip. A joint that
-    mimics another has no row of its own. ``touching`` (N, C) tells which contacts without a sensor
-    touch something; without it all may.
+    mimics another has no row of its own. Contacts without a sensor may all touch something.
     """
+    obeys, _ = _single_coordinates(parameters, velocity)
+    contacts = parameters.model.contacts
+    return obeys if contacts is None else _valid_combinations(parameters.model, obeys, None)
+
+
+def slipping_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArray | None:
+    """Return at which coordinates (N, n) no joint sticks, if it is open which have friction.
+
+    None if the joints' terms are given.
+    """
+    _, slips = _single_coordinates(parameters, velocity)
+    contacts = parameters.model.contacts
+    if slips is None or contacts is None:
+        return slips
+    return _valid_combinations(parameters.model, slips, None)
+
+
+def _single_coordinates(
+    parameters: ParameterSet, velocity: FloatArray
+) -> tuple[BoolArray, BoolArray | None]:
+    """Return :func:`valid_coordinates` and :func:`slipping_coordinates`, not yet combined."""
     model = parameters.model
-    valid = np.ones((len(velocity), model.dof), dtype=bool)
-    if not parameters.candidates:
+    obeys = np.ones((len(velocity), model.dof), dtype=bool)
+    slips, joints = None, slice(6 * model.floating, None)
+    if parameters.candidates:
+        slips = obeys.copy()
+        slips[:, joints] = slipping(parameters, velocity)
+    else:
         has_friction = np.full(len(model.joints), not SLIDING_TERMS.isdisjoint(parameters.terms))
         if "coulomb" in parameters.known_terms:
             has_friction |= parameters.known_terms["coulomb"] != 0
-        valid[:, 6 * model.floating :] = slipping(parameters, velocity) | ~has_friction
-    valid[:, [6 * model.floating + joint for joint in model.followers]] = False
-    if model.contacts is not None:
-        valid = _valid_combinations(model, valid, touching)
-    return valid
+        obeys[:, joints] = slipping(parameters, velocity) | ~has_friction
+    obeys[:, [6 * model.floating + joint for joint in model.followers]] = False
+    return obeys, slips
 
 
 def _valid_combinations(
@@ -319,21 +409,6 @@ def _valid_combinations(
         some[:, kept[loaded[kept]]] = together[:, None]
         combined[index] = some
     return combined
-
-
-def slipping_coordinates(
-    parameters: ParameterSet, velocity: FloatArray, touching: BoolArray | None = None
-) -> BoolArray | None:
-    """Return at which coordinates (N, n) no joint sticks, if it is open which have friction.
-
-    None if the joints' terms are given.
-    """
-    if not parameters.candidates:
-        return None
-    model = parameters.model
-    slips = np.ones((len(velocity), model.dof), dtype=bool)
-    slips[:, 6 * model.floating :] = slipping(parameters, velocity)
-    return slips if model.contacts is None else _valid_combinations(model, slips, touching)
 
 
 def suitable_windows(windows: Sequence[float], rate: float) -> tuple[float, ...]:
@@ -538,16 +613,12 @@ def _hann(readings: SensorSamples, centres: FloatArray, length: float) -> csr_ar
 
 @dataclass(frozen=True)
 class _Average:
-    """Sums over windows: flat [K y] (W, n p + n), shares of weight that is valid, slips, touches.
-
-    Each may touch coordinates ``loads`` (C, n).
-    """
+    """Sums over windows: flat [K y] (W, n p + n), and shares of weight that is valid or slips."""
 
     flat: FloatArray
     valid: FloatArray
     slips: FloatArray | None
-    touching: FloatArray | None
-    loads: BoolArray | None
+    combined: CombinedCoordinates | None
     shape: tuple[int, int]
 
 
@@ -570,9 +641,8 @@ def _averages(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> lis
         for weight in weights:
             some = weight[:, columns]
             slips = None if part.slips is None else some @ part.slips
-            touching = None if part.touching is None else some @ part.touching
-            valid = some @ part.valid
-            terms.append(_Average(some @ flat, valid, slips, touching, part.loads, (n, p)))
+            combined = None if part.combined is None else part.combined.averaged(some)
+            terms.append(_Average(some @ flat, some @ part.valid, slips, combined, (n, p)))
         sums = terms if not sums else [_add(a, b) for a, b in zip(sums, terms, strict=True)]
         start += count
     return sums
@@ -580,24 +650,23 @@ def _averages(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> lis
 
 def _add(a: _Average, b: _Average) -> _Average:
     slips = None if a.slips is None or b.slips is None else a.slips + b.slips
-    touching = None if a.touching is None or b.touching is None else a.touching + b.touching
-    return _Average(a.flat + b.flat, a.valid + b.valid, slips, touching, a.loads, a.shape)
+    combined = None if a.combined is None or b.combined is None else a.combined + b.combined
+    return _Average(a.flat + b.flat, a.valid + b.valid, slips, combined, a.shape)
 
 
 def _windowed_rows_of(
     mean: _Average, noisy: _Average | None, stamp: IntArray, represented: int
 ) -> WindowedRows:
     n, p = mean.shape
-    valid = mean.valid > SLIPPING
-    if mean.touching is not None and mean.loads is not None:
-        # A coordinate's row has another meaning when a contact that acts on it opens or closes.
-        changes = (mean.touching < SLIPPING) & (mean.touching > 1 - SLIPPING)
-        valid &= ~(changes.astype(float) @ mean.loads > 0)
+    if mean.combined is not None:
+        valid, slips = mean.combined.valid()
+    else:
+        valid = mean.valid > SLIPPING
+        slips = None if mean.slips is None else (mean.slips > SLIPPING) & valid
 
     def rows(flat: FloatArray) -> Rows:
         return Rows(flat[:, : n * p].reshape(-1, n, p), flat[:, n * p :]).masked(valid)
 
-    slips = None if mean.slips is None else (mean.slips > SLIPPING) & valid
     noise = None
     if noisy is not None:
         noise = rows(np.sqrt(represented) * (noisy.flat - mean.flat))

@@ -9,12 +9,13 @@ from gaussian_logs import gaussian_log, noise_root, prior_of, scattered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag, eigh
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 
 from symbid_ros.choices import TERMS
 from symbid_ros.estimation import posterior as production
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
+from symbid_ros.estimation.prior import default_prior
 
 few = settings(max_examples=8, deadline=None)
 seeds = st.integers(0, 10**6)
@@ -209,6 +210,37 @@ def test_an_empirical_prior_is_as_wide_as_the_evidence_says(beyond):
     assert again.prior_scale == pytest.approx(1, rel=1e-2)
     # Twenty or thirty parameters tell their own spread to about a fifth.
     assert 0.5 < 7 * scale[0] < 1.8
+
+
+@pytest.mark.parametrize("sizes", [(1.0, 4.0), (50.0, 1.0), (0.1, 0.1)])
+def test_each_kind_of_error_gets_the_size_that_the_evidence_says(sizes):
+    """The two factors are the most probable ones given all rows at once."""
+    log = gaussian_log(11, count=40)
+    stated = default_prior(log.parameters)
+    bodies = stated.factor @ stated.factor.T - np.diag(stated.alone**2)
+
+    def sized(logs):
+        covariance = np.exp(2 * logs[0]) * bodies + np.diag((np.exp(logs[1]) * stated.alone) ** 2)
+        std = np.sqrt(np.diag(covariance))
+        root = std[:, None] * np.linalg.cholesky(covariance / np.outer(std, std))
+        return replace(stated, std=std, factor=root, alone=None)
+
+    stated = replace(
+        stated, mean=scattered(sized(np.log(sizes)), log.truth, np.random.default_rng(3)).mean
+    )
+    found = posterior(log.observations(), stated, empirical=True)
+
+    def cost(logs):
+        ratio = (logs[0] - logs[1]) / production.RATIO_STD
+        return -log_evidence(log, sized(logs), None, found.covariance, 1.0) + ratio**2 / 2
+
+    best = minimize(cost, np.log(sizes), method="Nelder-Mead", options={"xatol": 1e-4})
+    expected = sized(best.x)
+    np.testing.assert_allclose(found.prior.std, expected.std, rtol=1e-3)
+    again = posterior(log.observations(), found.prior)
+    assert_posterior(again, found.mean, found.deviation_factor @ found.deviation_factor.T, 1e-4)
+    size = np.sqrt(np.mean((found.prior.std / stated.std) ** 2))
+    assert found.chosen_scale == pytest.approx(size)
 
 
 @pytest.mark.parametrize("related", [False, True])

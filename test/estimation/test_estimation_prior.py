@@ -108,6 +108,23 @@ def test_the_default_prior_expects_both_kinds_of_wrong_files(symbitron, kind):
     assert largest**2 < 2.5
 
 
+def test_errors_along_the_columns_are_independent_whatever_the_size_of_each_kind(symbitron):
+    extended = default_prior(symbitron, 25).extended(("x/gain",), np.ones(1), np.full(1, 0.1))
+    count = symbitron.inertial
+    root, share = extended.kinds_of_errors(count)
+    alone = np.diag(extended.alone[:count] ** 2)
+    bodies = consistent_prior(symbitron, 25).factor[:count, :count]
+    scale = np.sqrt(np.diag(extended.factor @ extended.factor.T))[:count]
+    for sizes in ((1.0, 1.0), (3.0, 0.2), (0.0, 1.0)):
+        expected = sizes[0] ** 2 * bodies @ bodies.T + sizes[1] ** 2 * alone
+        factors = np.sqrt(sizes[0] ** 2 * share + sizes[1] ** 2 * (1 - share))
+        found = (root[:count, :count] * factors) @ (root[:count, :count] * factors).T
+        np.testing.assert_allclose(
+            found / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-12
+        )
+    np.testing.assert_array_equal(root[count:], extended.factor[count:])
+
+
 @pytest.mark.parametrize("points", [1, 2, 3])
 def test_a_consistent_prior_of_links_without_volume_is_drawn(points):
     """Points, rods and plates are possible; rounding may make their eigenvalues negative."""
