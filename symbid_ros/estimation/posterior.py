@@ -8,7 +8,7 @@ x are computed alternately. The factor of the data suffices for that, without a 
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
@@ -345,23 +345,28 @@ class _Evidence:
             return float(np.exp(grid[best]))
         return float(np.exp(brentq(slope, low, high)))
 
-    def scales(self, share: FloatArray) -> FloatArray:
-        """Return the factors (count,) on the deviations if two kinds of errors have their sizes.
+    def two_scales(self, share: FloatArray, start: FloatArray | None = None) -> FloatArray:
+        """Return the logarithms (2,) of the factors λ and μ on two kinds of errors.
 
-        The variance of x_i is s_i λ² + (1 - s_i) μ². The factors λ and μ maximise the evidence
-        times a prior of their ratio, without which data that hold few directions of one kind
-        would make it vanish.
+        The variance of x_i is s_i λ² + (1 - s_i) μ². The factors maximise the evidence times a
+        prior of their ratio, without which data that hold few directions of one kind would make it
+        vanish.
 
         Parameters
         ----------
         share : (count,) float64
             s, the share of the first kind.
+        start : (2,) float64, optional
+            Where to begin; at the common factor by default.
         """
+        if start is None:
+            start = np.full(2, np.log(self.common_scale()))
         shares, ratio = np.array([share, 1 - share]), np.array([1.0, -1.0]) / RATIO_STD
 
-        def cost(logs: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        @lru_cache(maxsize=2)
+        def cost(*logs: float) -> tuple[float, FloatArray, FloatArray]:
             """Return the cost, its gradient (2,) and its Hessian (2, 2)."""
-            variances = np.exp(2 * logs)[:, None] * shares
+            variances = np.exp(2 * np.array(logs))[:, None] * shares
             C = cholesky((self.A * variances.sum(axis=0)) @ self.A.T + np.eye(len(self.b)))
             Z = solve_triangular(C, np.column_stack([self.A, self.b]), trans="T")
             Z, z = Z[:, :-1], Z[:, -1]
@@ -374,16 +379,15 @@ class _Evidence:
             return float(value), gradient, bend + 2 * np.outer(ratio, ratio)
 
         found = minimize(  # type: ignore[call-overload]
-            lambda logs: cost(logs)[0],
-            np.full(2, np.log(self.common_scale())),
-            jac=lambda logs: cost(logs)[1],
-            hess=lambda logs: cost(logs)[2],
+            lambda logs: cost(*logs)[0],
+            start,
+            jac=lambda logs: cost(*logs)[1],
+            hess=lambda logs: cost(*logs)[2],
             method="trust-exact",
             options=SEARCH,
         )
-        logs = np.clip(found.x, *np.log(SCALES))
-        factors: FloatArray = np.sqrt(np.exp(2 * logs) @ shares)
-        return factors
+        logs: FloatArray = np.clip(found.x, *np.log(SCALES))
+        return logs
 
 
 def posterior(
@@ -427,7 +431,7 @@ def posterior(
     count = len(mean) if count is None else count
     has_two = empirical and prior.alone is not None
     L, share = prior.kinds_of_errors(count)
-    scale = np.ones(len(mean))
+    scale, logs = np.ones(len(mean)), None
     x = np.zeros(len(mean)) if start is None else np.linalg.solve(L, start - mean)
     # Weights and solution alternate. Most iterations are the early ones, which need fewer digits.
     coarse, last = True, np.inf
@@ -443,7 +447,11 @@ def posterior(
         )
         if empirical:
             evidence = square.evidence(count)
-            scale[:count] = evidence.scales(share) if has_two else evidence.common_scale()
+            if has_two:
+                logs = evidence.two_scales(share, logs)
+                scale[:count] = np.sqrt(np.exp(2 * logs) @ (share, 1 - share))
+            else:
+                scale[:count] = evidence.common_scale()
         before = x
         x, factor = square.minimum(scale)
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
