@@ -28,8 +28,8 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows, valid_rows
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import RowBuilder, SampledRows, valid_rows
 
 CHUNK = 512
 PER_SENSOR = 10  # unknowns of a wrench sensor or an IMU: its matrix row by row, then its delay

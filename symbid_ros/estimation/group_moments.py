@@ -15,7 +15,8 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.estimation.information import RowLayout
-from symbid_ros.signals.weak_form import SampledRows, WindowedRows
+from symbid_ros.signals.sampled_rows import SampledRows
+from symbid_ros.signals.weak_form import WindowedRows
 
 # Seconds of a log are dealt to this many groups in turn. Residuals of neighbouring rows are
 # correlated, so rows are left out by whole seconds.

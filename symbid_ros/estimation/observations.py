@@ -11,7 +11,8 @@ from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.group_moments import GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout
-from symbid_ros.signals.weak_form import INFLATION, SampledRows, WindowedRows
+from symbid_ros.signals.sampled_rows import SampledRows
+from symbid_ros.signals.weak_form import INFLATION, WindowedRows
 
 # Independent samples per coordinate below which covariances between coordinates are not estimated.
 SAMPLES_PER_COORDINATE = 3

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.signals.sampled_rows import RowBuilder
 from symbid_ros.signals.segments import Segment, fingerprint
 from symbid_ros.signals.weak_form import (
     MOTION,
     Channel,
-    RowBuilder,
     WindowedRows,
     suitable_windows,
     windowed_rows,

@@ -23,6 +23,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import align_checked, warn_once
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay, Smoothing, row_inflation
 from symbid_ros.signals.log import Log
+from symbid_ros.signals.sampled_rows import RowBuilder, sampled_rows
 from symbid_ros.signals.segments import RemoteSegments, Segment, cut_to, fingerprint
 from symbid_ros.signals.sensor_samples import build_samples, probed
 from symbid_ros.signals.weak_form import (
@@ -30,12 +31,10 @@ from symbid_ros.signals.weak_form import (
     BLOCK,
     MOTION,
     Channel,
-    RowBuilder,
     block_rows,
     check_windows,
     cut_into_blocks,
     equation_rows,
-    sampled_rows,
     suitable_windows,
 )
 

@@ -18,16 +18,10 @@ from symbid_ros.dynamics.regressor import Rows, coulomb_column, equation_of_moti
 from symbid_ros.errors import OptionError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import (
-    ALL_WINDOWS,
-    CHUNK,
-    RowBuilder,
-    SampledRows,
-    suitable_windows,
-    windowed_rows,
-)
+from symbid_ros.signals.weak_form import ALL_WINDOWS, CHUNK, suitable_windows, windowed_rows
 
 logger = logging.getLogger(__name__)
 

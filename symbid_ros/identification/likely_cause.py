@@ -21,6 +21,7 @@ from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_errors import (
     COMPLIANCE,
@@ -29,7 +30,7 @@ from symbid_ros.signals.sensor_errors import (
     SensorErrors,
 )
 from symbid_ros.signals.sensor_samples import SensorSamples
-from symbid_ros.signals.weak_form import RowBuilder, SampledRows, block_length, windowed_rows
+from symbid_ros.signals.weak_form import block_length, windowed_rows
 
 # Stretches of a log are dealt to this many groups, each predicted from the others. They last a
 # second, or twice the window if that is longer.

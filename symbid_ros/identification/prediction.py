@@ -23,6 +23,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
+from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows, sampled_rows
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_errors import (
     ALL_KINDS,
@@ -32,14 +33,7 @@ from symbid_ros.signals.sensor_errors import (
     SensorErrors,
 )
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base, build_samples
-from symbid_ros.signals.weak_form import (
-    RowBuilder,
-    SampledRows,
-    check_windows,
-    equation_rows,
-    sampled_rows,
-    windowed_rows,
-)
+from symbid_ros.signals.weak_form import check_windows, equation_rows, windowed_rows
 
 CHUNK = 512  # samples whose efforts and gravity are computed at once
 

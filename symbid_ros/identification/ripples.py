@@ -20,9 +20,10 @@ from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.ripple import Ripple
+from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples
-from symbid_ros.signals.weak_form import RowBuilder, SampledRows, windowed_rows
+from symbid_ros.signals.weak_form import windowed_rows
 
 logger = logging.getLogger(__name__)
 

@@ -6,8 +6,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event
 
 from symbid_ros.identification.accumulator import BlockAccumulator, TimeSpan
+from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
 from symbid_ros.signals.sensor_samples import SensorSamples
-from symbid_ros.signals.weak_form import EquationRows, RowBuilder, SampledRows
+from symbid_ros.signals.weak_form import EquationRows
 
 
 class BlockWorker:

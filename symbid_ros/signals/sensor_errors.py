@@ -16,13 +16,13 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.realignment import advanced
-from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import (
+from symbid_ros.signals.sampled_rows import (
     SampledRows,
     slipping_coordinates,
     valid_coordinates,
     valid_rows,
 )
+from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 
 # Typical calibration errors: standard deviations per component.
 DEVIATIONS = {

@@ -10,7 +10,7 @@ each differentiated channel is that of the quietest band of its spectrum. The re
 the rows is averaged over the same windows.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -25,18 +25,23 @@ from symbid_ros.dynamics.regressor import (
     Rows,
     averaged_equation_of_motion,
     coulomb_column,
-    equation_of_motion,
     friction_state,
     has_linear_rows,
-    slipping,
 )
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.unmeasured_contacts import contact_states, contacts_of_state
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.decimation import Decimator, decimation_stride
 from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.sampled_rows import (
+    SLIPPING,
+    CombinedCoordinates,
+    RowBuilder,
+    SampledRows,
+    rows_that_hold,
+    sampled_rows,
+)
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import (
     RecordedPositions,
@@ -79,10 +84,6 @@ LARGEST_SHARE = 0.25
 # decays by a factor of 80 per period and affects acceleration most.
 SETTLING = 4
 
-# A joint's row is used if the joint slipped for this share of the window. The rest is enough for a
-# reversal, about which friction says most.
-SLIPPING = 0.8
-
 CHUNK = 512
 
 # Blocks from the start of a log whose noise is replayed. The replay estimates a mean, for which it
@@ -103,103 +104,6 @@ BANDS = 8
 LOWEST = 0.1
 # Magnitude of the expected minimum of eight standard normal variables, for the quietest band.
 LEAST_OF_BANDS = 1.4236
-
-
-@dataclass(frozen=True)
-class CombinedCoordinates:
-    """Where the coordinates obey the equation of motion of which rows are combinations.
-
-    A row without unmeasured contacts contains all coordinates on which they act.
-
-    Attributes
-    ----------
-    model : RobotModel
-    measured : (N, n) bool, or shares of windows
-        Rows that are known.
-    obeys : (N, n) bool, or shares of windows
-        Single coordinates; false where a joint with friction may stick.
-    slips : (N, n) bool or None, or shares of windows
-        The same of candidate terms.
-    touching : (N, C) bool, or shares of windows
-        Which contacts without a sensor touch something.
-    """
-
-    model: RobotModel
-    measured: FloatArray | BoolArray
-    obeys: FloatArray | BoolArray
-    slips: FloatArray | BoolArray | None
-    touching: FloatArray | BoolArray
-
-    def averaged(self, weights: csr_array) -> "CombinedCoordinates":
-        """Return the shares of windows with ``weights`` (W, N)."""
-        slips = None if self.slips is None else weights @ self.slips
-        return CombinedCoordinates(
-            self.model,
-            weights @ self.measured,
-            weights @ self.obeys,
-            slips,
-            weights @ self.touching,
-        )
-
-    def __add__(self, other: "CombinedCoordinates") -> "CombinedCoordinates":
-        """Return the sum of shares that two parts of the samples have in windows."""
-        slips = None
-        if self.slips is not None and other.slips is not None:
-            slips = self.slips + other.slips
-        return CombinedCoordinates(
-            self.model,
-            self.measured + other.measured,
-            self.obeys + other.obeys,
-            slips,
-            self.touching + other.touching,
-        )
-
-    def valid(self) -> tuple[BoolArray, BoolArray | None]:
-        """Return which rows of windows (W, n) are valid, and which of them need no joint to slip.
-
-        Each joint must slip for most of the window, but all of them need not at the same time.
-        """
-        contacts = self.model.contacts
-        assert contacts is not None
-        # A coordinate's row has another meaning when a contact that acts on it opens or closes.
-        changes = (self.touching < SLIPPING) & (self.touching > 1 - SLIPPING)
-        known = (self.measured > SLIPPING) & ~(changes.astype(float) @ contacts.loads > 0)
-        touching = np.asarray(self.touching > 1 - SLIPPING)
-        valid, slips = (
-            None if each is None else _valid_combinations(self.model, each > SLIPPING, touching)
-            for each in (self.obeys, self.slips)
-        )
-        assert valid is not None
-        valid &= known
-        return valid, None if slips is None else slips & valid
-
-
-@dataclass(frozen=True)
-class SampledRows:
-    """Rows at single samples.
-
-    Attributes
-    ----------
-    stamp : (N,) int64
-        Nanoseconds.
-    rows : Rows
-        N rows of n coordinates.
-    valid : (N, n) bool
-        Coordinates at which the equation holds; false where a joint with friction may stick.
-    slips : (N, n) bool or None
-        Of candidate terms: valid coordinates except joints that may stick.
-    combined : CombinedCoordinates or None
-        What the rows are combinations of, on a robot with contacts that have no sensor.
-    """
-
-    stamp: IntArray
-    rows: Rows
-    valid: BoolArray
-    slips: BoolArray | None = None
-    combined: CombinedCoordinates | None = None
-
-
-RowBuilder = Callable[[SensorSamples], Iterator[SampledRows]]
 
 
 @dataclass(frozen=True)
@@ -263,7 +167,7 @@ class EquationRows:
         K, y = averaged_equation_of_motion(parameters, samples, stacked)
         _, n, p = K.shape
         empty = Rows(np.empty((len(samples), n, 0)), y)
-        forces = _averages(iter([_valid_rows(parameters, samples, empty)]), weights)
+        forces = _averages(iter([rows_that_hold(parameters, samples, empty)]), weights)
         starts = np.cumsum([0, *(len(each.flat) for each in forces)])
         return [
             replace(one, flat=np.concatenate([part.reshape(-1, n * p), one.flat], 1), shape=(n, p))
@@ -308,107 +212,6 @@ def with_filtered_friction(
         sliding=low_pass(coulomb_column(velocity)),
         friction_state=low_pass(friction_state(position, model.joints)),
     )
-
-
-def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:
-    """Return the equation of motion at single samples, and where it holds."""
-    return _valid_rows(parameters, samples, equation_of_motion(parameters, samples))
-
-
-def _valid_rows(parameters: ParameterSet, samples: Samples, rows: Rows) -> SampledRows:
-    model, touching = parameters.model, samples.touching
-    obeys, slips = _single_coordinates(parameters, samples.velocity)
-    if model.contacts is None:
-        return valid_rows(samples.stamp, rows, obeys, slips)
-    if touching is None:
-        touching = np.ones((len(samples), len(model.contacts.frames)), dtype=bool)
-    combined = CombinedCoordinates(model, np.isfinite(rows.y), obeys, slips, touching)
-    sampled = valid_rows(
-        samples.stamp,
-        rows,
-        _valid_combinations(model, obeys, touching),
-        None if slips is None else _valid_combinations(model, slips, touching),
-    )
-    return replace(sampled, combined=combined)
-
-
-def valid_rows(
-    stamp: IntArray, rows: Rows, valid: BoolArray, slips: BoolArray | None = None
-) -> SampledRows:
-    """Return rows valid at some coordinates (N, n), except where the force was not measured.
-
-    ``slips`` (N, n) tells at which coordinates no joint sticks, which some terms need.
-    """
-    measured = np.isfinite(rows.y)
-    if not measured.all():
-        valid = valid & measured
-        rows = Rows(rows.K, np.where(measured, rows.y, 0.0))
-    if slips is None:
-        return SampledRows(stamp, rows, valid)
-    return SampledRows(stamp, rows, valid, valid & slips)
-
-
-def valid_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
-    """Return which coordinates (N, n) obey the equation of motion at joint rates (N, J).
-
-    Joints with Coulomb friction, identified or known, do so only while they slip. A joint that
-    mimics another has no row of its own. Contacts without a sensor may all touch something.
-    """
-    obeys, _ = _single_coordinates(parameters, velocity)
-    contacts = parameters.model.contacts
-    return obeys if contacts is None else _valid_combinations(parameters.model, obeys, None)
-
-
-def slipping_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArray | None:
-    """Return at which coordinates (N, n) no joint sticks, if it is open which have friction.
-
-    None if the joints' terms are given.
-    """
-    _, slips = _single_coordinates(parameters, velocity)
-    contacts = parameters.model.contacts
-    if slips is None or contacts is None:
-        return slips
-    return _valid_combinations(parameters.model, slips, None)
-
-
-def _single_coordinates(
-    parameters: ParameterSet, velocity: FloatArray
-) -> tuple[BoolArray, BoolArray | None]:
-    """Return :func:`valid_coordinates` and :func:`slipping_coordinates`, not yet combined."""
-    model = parameters.model
-    obeys = np.ones((len(velocity), model.dof), dtype=bool)
-    slips, joints = None, slice(6 * model.floating, None)
-    if parameters.candidates:
-        slips = obeys.copy()
-        slips[:, joints] = slipping(parameters, velocity)
-    else:
-        has_friction = np.full(len(model.joints), not SLIDING_TERMS.isdisjoint(parameters.terms))
-        if "coulomb" in parameters.known_terms:
-            has_friction |= parameters.known_terms["coulomb"] != 0
-        obeys[:, joints] = slipping(parameters, velocity) | ~has_friction
-    obeys[:, [6 * model.floating + joint for joint in model.followers]] = False
-    return obeys, slips
-
-
-def _valid_combinations(
-    model: RobotModel, valid: BoolArray, touching: BoolArray | None
-) -> BoolArray:
-    """Return which rows without unmeasured contacts are valid if single coordinates are (N, n)."""
-    contacts = model.contacts
-    assert contacts is not None
-    if touching is None:
-        touching = np.ones((len(valid), len(contacts.frames)), dtype=bool)
-    combined = np.zeros_like(valid)
-    for state, index in contact_states(touching):
-        active = contacts_of_state(model, state)
-        kept, loaded = active.coordinates, np.asarray(active.loads.any(axis=0))
-        some = combined[index]
-        # Combinations contain all coordinates that feel a contact; other rows stay as they are.
-        some[:, kept] = valid[np.ix_(index, kept)]
-        together: BoolArray = np.asarray(valid[index][:, loaded].all(axis=1))
-        some[:, kept[loaded[kept]]] = together[:, None]
-        combined[index] = some
-    return combined
 
 
 def suitable_windows(windows: Sequence[float], rate: float) -> tuple[float, ...]:

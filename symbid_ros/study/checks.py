@@ -17,7 +17,7 @@ from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
 from symbid_ros.report.content import TRUTH
 from symbid_ros.signals.alignment import align, joint_columns
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.weak_form import valid_coordinates
+from symbid_ros.signals.sampled_rows import valid_coordinates
 from symbid_ros.simulation.balance import BalanceResult, balance
 from symbid_ros.study.draws import load_draw
 from symbid_ros.study.logs import nominal_parameters, true_parameters

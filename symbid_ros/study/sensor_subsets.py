@@ -24,8 +24,9 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, Dataset, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.sampled_rows import SampledRows, valid_coordinates
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import CHUNK, SampledRows, valid_coordinates
+from symbid_ros.signals.weak_form import CHUNK
 
 SensorSubset = Literal["all", "base_rows", "joint_rows", "no_plates"]
 

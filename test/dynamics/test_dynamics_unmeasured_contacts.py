@@ -12,8 +12,9 @@ from symbid_ros.errors import ModelError
 from symbid_ros.estimation.information import random_motions
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.sampled_rows import sampled_rows
 from symbid_ros.signals.segments import Segment
-from symbid_ros.signals.weak_form import equation_rows, sampled_rows, windowed_rows
+from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 
 POINTS = tuple(f"{foot}:point" for foot in FEET)
 

@@ -26,7 +26,7 @@ from symbid_ros.estimation.truncated_svd import (
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.weak_form import SampledRows
+from symbid_ros.signals.sampled_rows import SampledRows
 
 
 class Case:

@@ -14,7 +14,8 @@ from symbid_ros.estimation.group_moments import GROUPS, GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout, random_motions
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.weak_form import WindowedRows, slipping_coordinates, valid_coordinates
+from symbid_ros.signals.sampled_rows import slipping_coordinates, valid_coordinates
+from symbid_ros.signals.weak_form import WindowedRows
 
 
 def chosen(result, log):

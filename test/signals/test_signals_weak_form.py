@@ -14,6 +14,7 @@ from symbid_ros.dynamics.regressor import COULOMB_SPEED, Rows
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.sampled_rows import SampledRows
 from symbid_ros.signals.sensor_samples import smoothed
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
@@ -23,7 +24,6 @@ from symbid_ros.signals.weak_form import (
     REPLAYED_BLOCKS,
     SETTLING,
     WINDOWS,
-    SampledRows,
     block_length,
     check_windows,
     equation_rows,
