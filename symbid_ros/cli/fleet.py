@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.box import HEAVY_HEAD
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
+from symbid_ros.cli.fitted_tables import print_table
 from symbid_ros.cli.verbosity import progress_shown
 
 
@@ -43,12 +44,9 @@ def fleet(
         typer.echo(json.dumps(document, indent=1))
     else:
         console = Console(highlight=False)
-        table = Table()
-        for title in ("link", "kg", "± kg", "one robot ± kg", *found.robots):
-            table.add_column(title, justify="left" if title == "link" else "right", no_wrap=True)
-        for row in fleet_rows(found):
-            table.add_row(*row)
-        console.print(table)
+        rows = [(name, cells) for name, *cells in fleet_rows(found)]
+        groups = ("kg", "± kg", "one robot ± kg"), found.robots
+        print_table(console, "link", groups, rows, style=HEAVY_HEAD)
         spread = ", ".join(f"{name} {100 * size:.2g} %" for name, size in found.spread.items())
         console.print(Text(f"between robots: {spread}"), soft_wrap=True)
         style = "bold red" if found.deviations else "green"

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
+from symbid_ros.cli.fitted_tables import print_table
 from symbid_ros.cli.flags import flag
 from symbid_ros.excitation.files import FILES
 from symbid_ros.excitation.page import closest_links, contacts_used
@@ -15,14 +15,16 @@ from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.options import spelled
 from symbid_ros.report.formatting import significant
 
+MOMENTS = 4  # of the parameters are the mass and its first moments
+
 
 def print_plan(plan: ExcitationPlan, out: Path) -> None:
     """Print the limits that a trajectory uses and the deviations that it will leave."""
     console = Console(highlight=False)
-    console.print(limits_table(plan))
-    console.print(*(links_table(plan, part) for part in (slice(0, 4), slice(4, 10))), sep="\n")
+    print_usage(console, plan)
+    print_link_deviations(console, plan)
     if plan.problem.parameters.terms:
-        console.print(terms_table(plan))
+        print_term_deviations(console, plan)
     design = plan.problem.design
     lines = [
         f"{design.seconds:g} s, {design.seconds / design.series.period:g} periods of "
@@ -39,52 +41,40 @@ def print_plan(plan: ExcitationPlan, out: Path) -> None:
         console.print(Text(line), soft_wrap=True)
 
 
-def limits_table(plan: ExcitationPlan) -> Table:
-    """Return a table of the share of each limit that each joint uses."""
+def print_usage(console: Console, plan: ExcitationPlan) -> None:
+    """Print the share of each limit that each joint uses."""
     usage = plan.usage()
-    table = Table(title=f"{plan.joints.model.name}: used of each limit, %", title_justify="left")
-    table.add_column("joint", overflow="fold")
-    for kind in usage:
-        table.add_column(kind, justify="right")
-    for index, name in enumerate(plan.joints.names):
-        table.add_row(Text(name), *(f"{100 * shares[index]:.0f}" for shares in usage.values()))
-    return table
+    rows = [
+        (name, [f"{100 * shares[index]:.0f}" for shares in usage.values()])
+        for index, name in enumerate(plan.joints.names)
+    ]
+    title = f"{plan.joints.model.name}: used of each limit, %"
+    print_table(console, "joint", [list(usage)], rows, title=title)
 
 
-def links_table(plan: ExcitationPlan, part: slice) -> Table:
-    """Return a table of the expected deviations of some parameters of each link, SI units."""
-    table = Table(
-        title="expected standard deviations, SI units; in brackets: not determined",
-        title_justify="left",
-        pad_edge=False,
-    )
-    table.add_column("link", overflow="fold")
-    for name in PARAMETERS[part]:
-        table.add_column(name, justify="right", no_wrap=True)
+def print_link_deviations(console: Console, plan: ExcitationPlan) -> None:
+    """Print the expected deviations of the parameters of each link, SI units."""
     parameters = plan.problem.parameters
-    std, determined = (
-        values[: parameters.inertial].reshape(-1, 10)[:, part]
-        for values in (plan.std, plan.determined)
-    )
-    for link, row, known in zip(parameters.link_names, std, determined, strict=True):
-        table.add_row(Text(link), *map(_deviation, row.tolist(), known.tolist()))
-    return table
+    cells = list(map(_deviation, plan.std.tolist(), plan.determined.tolist()))
+    size = len(PARAMETERS)
+    rows = [
+        (link, cells[size * index : size * (index + 1)])
+        for index, link in enumerate(parameters.link_names)
+    ]
+    title = "expected standard deviations, SI units; in brackets: not determined"
+    groups = PARAMETERS[:MOMENTS], PARAMETERS[MOMENTS:]
+    print_table(console, "link", groups, rows, title=title)
 
 
-def terms_table(plan: ExcitationPlan) -> Table:
-    """Return a table of the expected deviation of each joint term."""
+def print_term_deviations(console: Console, plan: ExcitationPlan) -> None:
+    """Print the expected deviation of each joint term."""
     parameters = plan.problem.parameters
-    table = Table(pad_edge=False)
-    table.add_column("joint", overflow="fold")
-    for term in parameters.term_columns:
-        table.add_column(term, justify="right", no_wrap=True)
+    rows = []
     for place, joint in enumerate(parameters.joints.tolist()):
         columns = [columns.start + place for columns in parameters.term_columns.values()]
-        table.add_row(
-            Text(parameters.model.joint_names[joint]),
-            *(_deviation(plan.std[column], plan.determined[column]) for column in columns),
-        )
-    return table
+        cells = [_deviation(plan.std[column], plan.determined[column]) for column in columns]
+        rows.append((parameters.model.joint_names[joint], cells))
+    print_table(console, "joint", [list(parameters.term_columns)], rows)
 
 
 def _deviation(std: float, determined: bool | np.bool_) -> Text:

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from symbid_ros.bags import BagInfo, FileInfo, LostRange, RecoveryReport
+from symbid_ros.cli.fitted_tables import Row, print_table
 from symbid_ros.cli.flags import flag
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
@@ -21,6 +22,7 @@ from symbid_ros.options import spelled
 from symbid_ros.report.content import METRICS, MethodResult, best_labels
 from symbid_ros.report.formatting import significant
 
+ERRORS = ("measured", "before", "after"), ("before %", "after %", "in 90 %")
 SHOWN = 20  # number of lost ranges to print; --json gives all
 
 
@@ -188,33 +190,31 @@ def print_estimate(estimate: Estimate, out: Path) -> None:
     # Rich does not wrap these lines, so that a pipe receives them complete.
     for alarm in estimate.verdict.alarms if estimate.verdict is not None else ():
         console.print(Text(f"alarm: {alarm}", style="bold red"), soft_wrap=True)
-    console.print(links_table(estimate))
+    print_links(console, estimate)
     for line in _lines(estimate, out):
         console.print(line, soft_wrap=True)
 
 
-def links_table(estimate: Estimate) -> Table:
-    """Return a table of each link's mass, determined parameters and physical possibility."""
-    table = Table(title=f"{estimate.model}, {estimate.method}", title_justify="left")
-    table.add_column("link")
-    for header in ("prior kg", "mass kg", "± kg", "determined", "possible"):
-        table.add_column(header, justify="right")
+def print_links(console: Console, estimate: Estimate) -> None:
+    """Print each link's mass, determined parameters and physical possibility."""
     position = {name: index for index, name in enumerate(estimate.names)}
+    rows: list[Row] = []
     for link, possible in estimate.consistent.items():
         mass = position[f"{link}/m"]
-        verdicts = "–"
+        determined = "–"
         if estimate.determined is not None:
-            verdicts = f"{int(estimate.determined[mass : mass + 10].sum())} of 10"
-        std = "–" if estimate.std is None else f"{estimate.std[mass]:.3f}"
-        table.add_row(
-            Text(link),
+            determined = f"{int(estimate.determined[mass : mass + 10].sum())} of 10"
+        cells: list[Text | str] = [
             f"{estimate.prior[mass]:.3f}",
             f"{estimate.value[mass]:.3f}",
-            std,
-            verdicts,
+            "–" if estimate.std is None else f"{estimate.std[mass]:.3f}",
+            determined,
             "yes" if possible else Text("no", style="red"),
-        )
-    return table
+        ]
+        rows.append((link, cells))
+    groups = ("prior kg", "mass kg", "± kg"), ("determined", "possible")
+    title = f"{estimate.model}, {estimate.method}"
+    print_table(console, "link", groups, rows, title=title, style=box.HEAVY_HEAD)
 
 
 def _lines(estimate: Estimate, out: Path) -> list[RenderableType]:
@@ -299,13 +299,9 @@ def print_validation(found: Validation) -> None:
     """Print errors by coordinate, total mass, intervals and the verdict."""
     console = Console(highlight=False)
     console.print(Text(f"{found.model}, {found.method}"), soft_wrap=True)
-    table = _error_table("")
-    for error in found.coordinates:
-        table.add_row(*_error_cells(error))
-    table.add_section()
-    for error in found.groups:
-        table.add_row(*_error_cells(error))
-    console.print(table)
+    rows: list[Row] = [(error.name, _error_cells(error)) for error in found.coordinates]
+    rows += [None, *((error.name, _error_cells(error)) for error in found.groups)]
+    print_table(console, "", ERRORS, rows)
     console.print(Text("before: original model, after: identified model"), soft_wrap=True)
     if found.slow is not None:
         console.print(f"slow stretches: {found.slow_seconds:.1f} s, loaded by gravity alone")
@@ -325,20 +321,9 @@ def print_validation(found: Validation) -> None:
     console.print(Text(found.verdict, style=style), soft_wrap=True)
 
 
-def _error_table(first: str) -> Table:
-    """Return a table of errors, narrow enough for 80 columns."""
-    table = Table(pad_edge=False, box=box.SIMPLE_HEAD)
-    table.add_column(first, overflow="fold")
-    for header in ("measured", "before", "after", "before %", "after %", "in 90 %"):
-        table.add_column(header, justify="right", no_wrap=True)
-    return table
-
-
-def _error_cells(error: ForceError, name: str | None = None) -> list[Text | str]:
-    """Return the cells of an error, by default under its own name."""
+def _error_cells(error: ForceError) -> list[str]:
     inside = "–" if error.coverage is None else f"{100 * error.coverage:.0f} %"
     return [
-        Text(error.name if name is None else name),
         f"{significant(error.measured)} {error.unit}",
         significant(error.rmse_before),
         significant(error.rmse_after),
@@ -351,8 +336,6 @@ def _error_cells(error: ForceError, name: str | None = None) -> list[Text | str]
 def print_comparison(found: Comparison) -> None:
     """Print the results by their errors, the best first."""
     console = Console(highlight=False)
-    table = _error_table("result")
-    for one in found.ranking:
-        table.add_row(*_error_cells(one.main, one.result))
-    console.print(table)
+    rows = [(one.result, _error_cells(one.main)) for one in found.ranking]
+    print_table(console, "result", ERRORS, rows)
     console.print(Text(found.verdict), soft_wrap=True)

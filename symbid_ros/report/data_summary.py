@@ -18,6 +18,8 @@ from symbid_ros.report.formatting import ABSENT, fixed, shared_decimals, signifi
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
 
+LARGEST_COM_STD = 1.0  # m; a larger deviation says nothing more
+
 
 @dataclass(frozen=True)
 class SummaryEntry:
@@ -158,6 +160,8 @@ def link_rows(estimate: Estimate, com_std: Mapping[str, float] = NOTHING) -> tup
         mass = with_std(float(estimate.value[own[0]]), std)
         com = com_std.get(link)
         text = ABSENT if com is None else significant(1e3 * com, 2)
+        if com is not None and com > LARGEST_COM_STD:
+            text = f"> {1e3 * LARGEST_COM_STD:g}"
         rows.append(LinkRow(link, count, mass, text, f"{gain:.1f}", share))
     return tuple(rows)
 
@@ -204,7 +208,10 @@ def _group(estimate: Estimate, link: str, indices: list[int]) -> ParameterGroup:
     rows = tuple(_row(estimate, i, indices, link) for i in indices)
     parts = []
     if link and rows[0].name == PARAMETERS[0]:
-        parts.append(f"{rows[0].value} kg, original {rows[0].prior} kg")
+        mass = indices[0]
+        std = 0.0 if estimate.std is None else float(estimate.std[mass])
+        before = significant(float(estimate.prior[mass]), 4)
+        parts.append(f"{with_std(float(estimate.value[mass]), std)} kg, original {before} kg")
     if estimate.determined is not None:
         count = int(np.count_nonzero(estimate.determined[indices]))
         parts.append(f"{count} of {len(indices)} determined")

@@ -280,6 +280,9 @@ def _scaled(rows: Sequence[ErrorRow], note: str) -> ErrorBars | None:
         least = float(np.min(measured[measured > 0]))
         scale = np.where(measured > 0, measured, least) / 100
     longest = robust_maximum(np.maximum(before, after) / scale)
+    if is_relative:
+        # An original model that errs by more than was measured must not hide the identified one's.
+        longest = min(longest, max(100.0, robust_maximum(after / scale)))
     bars = []
     for row, size in zip(rows, scale.tolist(), strict=True):
         name, unit, first, second, load = row

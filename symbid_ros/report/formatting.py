@@ -44,9 +44,13 @@ def fixed(value: float | None, decimals: int) -> str:
 def with_std(value: float, std: float) -> str:
     """Format ``value ± std`` with two significant digits of ``std``.
 
-    The value stands alone if ``std`` is zero, negative or not finite.
+    The value stands alone if ``std`` is zero, negative or not finite. It has one digit where
+    rounding would leave zero of it.
     """
     if not (math.isfinite(std) and std > 0):
         return significant(value)
     decimals = shared_decimals([std], 2)
-    return f"{fixed(value, decimals)} ± {fixed(std, decimals)}"
+    shown = fixed(value, decimals)
+    if decimals == 0 and shown == "0":
+        shown = significant(value, 1).replace("-", "−")
+    return f"{shown} ± {fixed(std, decimals)}"

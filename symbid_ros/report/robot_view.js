@@ -308,7 +308,9 @@
         const coms = isShown && on("com");
         link.comBefore.visible = Boolean(data.com.before) && coms && on("before");
         link.comAfter.visible = link.rim.visible = Boolean(data.com.after) && coms;
-        link.uncertainty.visible = Boolean(data.uncertainty) && coms;
+        // Ellipsoids larger than the robot would hide everything.
+        link.uncertainty.visible = Boolean(data.uncertainty) && coms
+          && 2 * Math.max(...link.uncertainty.scale.toArray()) < this.size;
         if (link.body) {
           const material = link.body.material;
           link.body.visible = on("shapes");

@@ -22,7 +22,12 @@ from symbid_ros.simulation.scenario import Scenario, ScenarioRun
 from symbid_ros.simulation.sensors import Instant, Sensors
 from symbid_ros.simulation.simulator import WrenchSensor
 from symbid_ros.simulation.systematic_errors import SampleRates, draw_errors
-from symbid_ros.simulation.tracking import PERIOD, effort_std, position_std
+from symbid_ros.simulation.tracking import (
+    PERIOD,
+    centre_damping,
+    effort_std,
+    position_std,
+)
 
 IMU = "imu_link"
 FLOOR_FRICTION = 0.8
@@ -249,6 +254,7 @@ def _plant(
         path.write_text(spec.to_xml(), encoding="utf-8")
         plant = Plant(path, measured)
     plant.model.dof_solref[:] = FRICTION_TIME_CONSTANT, 1.0
+    centre_damping(plant.model)
     return plant
 
 

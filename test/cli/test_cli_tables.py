@@ -8,6 +8,7 @@ import pytest
 from report_pages import SENSORS, VERDICT, estimate
 from rich.console import Console
 
+from symbid_ros.cli.fitted_tables import print_table
 from symbid_ros.cli.tables import metrics_table, print_estimate
 from symbid_ros.report.content import METRICS, MethodResult
 
@@ -67,6 +68,18 @@ def test_an_impossible_link_is_marked(printed):
     lines = printed(consistent={"base_link": True, "shin [left]": False}, std=None, determined=None)
     (line,) = [line for line in lines if "shin [left]" in line]
     assert [cell.strip() for cell in line.split("│")[4:7]] == ["–", "–", "no"]
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_a_wide_table_continues_below_with_complete_names_and_numbers(width, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    headers = ("m", "mc_x", "mc_y", "mc_z"), ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+    cells = [f"(1.{index}e-04)" for index in range(10)]
+    print_table(Console(), "link", headers, [("wrist_2_link", cells), None, ("base", cells)])
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    numbers = [one for line in lines if "wrist_2_link" in line for one in line.split()[1:]]
+    assert numbers == cells
 
 
 class TestMetricsTable:

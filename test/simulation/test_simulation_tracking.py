@@ -13,7 +13,7 @@ from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.simulation.joint_sensors import JointSensorOptions
 from symbid_ros.simulation.joint_trajectory import JointTrajectory, read_trajectory
-from symbid_ros.simulation.tracking import TrackingSimulator, effort_capacity
+from symbid_ros.simulation.tracking import TrackingSimulator, centre_damping, effort_capacity
 
 NAMES = "shoulder_lift_joint", "elbow_joint", "wrist_2_joint"
 TIME = np.linspace(0, 3.0, 301)
@@ -81,6 +81,25 @@ def test_drives_have_friction_and_armature(arm, trajectory):
         )
         checked += 1
     assert checked > 100
+
+
+def test_damping_acts_on_the_velocity_that_positions_show():
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><option integrator='Euler'><flag eulerdamp='disable'/></option><worldbody><body>"
+        "<joint damping='0.5'/><geom size='0.1' mass='1'/></body></worldbody></mujoco>"
+    )
+    inertia = float(model.dof_M0[0])
+    centre_damping(model)
+    data, period = mujoco.MjData(model), model.opt.timestep
+    data.qfrc_applied[0] = torque = 0.02
+    positions = []
+    for _ in range(30):
+        positions.append(float(data.qpos[0]))
+        mujoco.mj_step(model, data)
+    before, now, after = (np.array(positions[i : i + 28]) for i in range(3))
+    velocity = (after - before) / (2 * period)
+    acceleration = (after - 2 * now + before) / period**2
+    np.testing.assert_allclose(inertia * acceleration + 0.5 * velocity, torque, rtol=1e-6)
 
 
 def test_the_robot_follows_although_its_model_is_wrong(arm, trajectory):
