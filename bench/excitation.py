@@ -52,6 +52,7 @@ def main() -> None:
     options.add_argument("--robot", default="ur5")
     options.add_argument("--draws", type=int, default=20)
     options.add_argument("--default-prior", action="store_true", help="in rehearsals")
+    options.add_argument("--planned-terms", action="store_true", help="no others by evidence")
     options.add_argument("--truths", type=int, help="of rehearsals; default: as many as draws")
     options.add_argument("--starts", type=int, default=2)
     options.add_argument("--speed-share", type=float, default=0.8)
@@ -91,7 +92,12 @@ def main() -> None:
         if "random" in given.parts:
             compare(plan, given.draws)
         if "rehearsals" in given.parts:
-            rehearse(plan, given.truths or given.draws, has_prior=not given.default_prior)
+            rehearse(
+                plan,
+                given.truths or given.draws,
+                has_prior=not given.default_prior,
+                terms=",".join(problem.parameters.terms) if given.planned_terms else "auto",
+            )
 
 
 def compare(plan: ExcitationPlan, draws: int) -> None:
@@ -146,7 +152,9 @@ def known_deviations(problem: ExcitationProblem, coefficients: FloatArray) -> Fl
     return np.asarray(np.linalg.norm(problem.expected_factor(coefficients), axis=1))
 
 
-def rehearse(plan: ExcitationPlan, draws: int, *, has_prior: bool = True) -> None:
+def rehearse(
+    plan: ExcitationPlan, draws: int, *, has_prior: bool = True, terms: str = "auto"
+) -> None:
     """Print the pooled ratio of errors to the deviations that were expected."""
     problem = plan.problem
     robot = plan.joints.model
@@ -181,7 +189,13 @@ def rehearse(plan: ExcitationPlan, draws: int, *, has_prior: bool = True) -> Non
         else:
             truth = draw_truth(robot, percent=25, seed=seed, has_friction=True)
             log = simulated_log(truth, robot, trajectory, problem.sensors, seed)
-        found = sy.identify(robot, log, prior=prior if has_prior else None, no_holdout=True)
+        found = sy.identify(
+            robot,
+            log,
+            prior=prior if has_prior else None,
+            joint_terms=[terms],
+            no_holdout=True,
+        )
         exact = true_values(truth)
         estimate = found.estimate
         place = {name: index for index, name in enumerate(estimate.names)}

@@ -23,7 +23,7 @@ from symbid_ros.user_files import open_regular
 FORMAT = 2
 ARCHIVE = "an information.npz"
 MAX_ARRAYS = 10_000
-MAX_BYTES = 512 << 20  # of all arrays, unpacked
+MAX_BYTES = 2 << 30  # of all arrays, unpacked; a humanoid with 45 joints needs a quarter
 LARGEST_ENTRY = 1e15  # far above an hour of large forces at a high rate
 
 

@@ -7,7 +7,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.estimate import Estimate, HoldOut
+from symbid_ros.identification.force_errors import RELEVANT
 from symbid_ros.identification.holdout import REPEATED
 from symbid_ros.identification.report_data import ReportData
 from symbid_ros.identification.validation import percent
@@ -63,6 +64,12 @@ def recommend(estimate: Estimate) -> Recommendation:
     )
     if holdout.advice == "better":
         return Recommendation("good", f"Use this model: {figure}{calm}.", repeats)
+    if holdout.advice == "equal" and _is_uncertain(holdout):
+        return Recommendation(
+            "caution",
+            f"The data held out are too few to tell whether this model is better: {figure}{calm}.",
+            "Run symbid validate with a longer log that was not used.",
+        )
     if holdout.advice == "equal":
         return Recommendation(
             "caution", f"This model hardly differs from the original: {figure}{calm}.", repeats
@@ -70,6 +77,14 @@ def recommend(estimate: Estimate) -> Recommendation:
     kinds = {"worse": "is worse than the original", "unfit": "errs by more than was measured"}
     worse = kinds.get(holdout.advice, "is partly worse")
     return Recommendation("bad", f"Do not use this model, it {worse}: {figure}{calm}.", repeats)
+
+
+def _is_uncertain(holdout: HoldOut) -> bool:
+    """Return whether an error changed by a relevant amount that may be chance."""
+    before, after = holdout.percent_before, holdout.percent_after
+    if not before or not after:
+        return False
+    return not 1 / RELEVANT < after / before < RELEVANT
 
 
 def _is_tried(estimate: Estimate) -> bool:

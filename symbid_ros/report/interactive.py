@@ -11,6 +11,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.report.content import ReportContent
 from symbid_ros.report.log_figures import (
     binned_medians,
+    drawn_forces,
     force_range,
     shown_error,
     shown_joints,
@@ -24,8 +25,7 @@ def figure_data(content: ReportContent) -> dict[str, Any]:
     """Return what report.js draws; arrays are little-endian float32 in base64."""
     data: dict[str, Any] = {}
     log = content.shown.log
-    if log is not None and log.forces is not None:
-        forces = log.forces
+    if (forces := drawn_forces(log)) is not None:
         amplitudes = [
             np.sqrt(power)
             for power in (forces.power_measured, forces.power_before, forces.power_after)

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.identification.report_data import ForceSeries
+from symbid_ros.identification.report_data import ForceSeries, ReportData
 from symbid_ros.report.figures import Panel
 from symbid_ros.report.formatting import significant
 from symbid_ros.report.plotting import Style, downsample, figure_style, inline_svg
@@ -22,9 +22,17 @@ STYLES = {
 }
 JOINTS_SHOWN = 6  # without script; with script every joint can be chosen
 POINTS = 500
+FEWEST_POINTS = 4
 SPEED_BINS = 15
 FEWEST_IN_BIN = 8
 _TALL, _FLAT = (3.75, 2.9), (3.75, 2.05)
+
+
+def drawn_forces(log: ReportData | None) -> ForceSeries | None:
+    """Return the forces of a log, unless they are too few for a curve."""
+    if log is None or log.forces is None or len(log.forces.time) < FEWEST_POINTS:
+        return None
+    return log.forces
 
 
 def shown_joints(forces: ForceSeries) -> IntArray:

@@ -2,6 +2,7 @@
 
 import base64
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from symbid_ros.report.formatting import significant, with_std
 POSITIVE, NEGATIVE = (0, 114, 178), (213, 94, 0)
 PAIRS_SHOWN = 8
 CHANGES_SHOWN = 8
+LABELS_SHOWN = 22  # at most, beside the correlation matrix
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class CorrelationImage:
     address : str
         PNG as a data URI.
     groups : tuple of (str, int)
-        Owners of consecutive parameters and their numbers.
+        Owners of consecutive parameters and their numbers; without name where there is no room.
     pairs : tuple of (str, str, str)
         The strongest correlations between parameters, and their values.
     """
@@ -121,7 +123,19 @@ def correlation_image(spread: ParameterCorrelation) -> CorrelationImage:
         )
         for place in order.tolist()
     )
-    return CorrelationImage(len(matrix), address, tuple(groups), pairs)
+    return CorrelationImage(len(matrix), address, _legible(groups), pairs)
+
+
+def _legible(groups: Sequence[tuple[str, int]]) -> tuple[tuple[str, int], ...]:
+    """Return groups in which names that would overlap the one above are empty."""
+    distance = sum(count for _, count in groups) / LABELS_SHOWN
+    kept: list[tuple[str, int]] = []
+    since = distance
+    for name, count in groups:
+        is_free = since >= distance
+        kept.append((name if is_free else "", count))
+        since = count if is_free else since + count
+    return tuple(kept)
 
 
 @dataclass(frozen=True)

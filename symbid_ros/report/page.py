@@ -34,6 +34,7 @@ from symbid_ros.report.interactive import figure_css, figure_data, figure_script
 from symbid_ros.report.log_bars import joint_ranges, timeline
 from symbid_ros.report.log_figures import (
     base_panels,
+    drawn_forces,
     force_panels,
     has_hidden_errors,
     spectrum_panels,
@@ -80,6 +81,7 @@ def render(content: ReportContent) -> str:
     estimate, summary = content.estimate, content.shown.summary
     com_std = {} if summary is None else summary.link_com_std
     log = content.shown.log
+    forces = drawn_forces(log)
     prior_std = None if content.spread is None else content.spread.prior_std
     data = figure_data(content)
     robot = None if content.robot is None else robot_view(content.robot)
@@ -106,7 +108,7 @@ def render(content: ReportContent) -> str:
         "correlation": None if content.spread is None else correlation_image(content.spread),
         "changes": largest_changes(estimate, prior_std),
         "compared": None if any(errors.values()) else compared_results(content.results),
-        "forces": None if log is None or log.forces is None else _forces(log.forces),
+        "forces": None if forces is None else _forces(forces),
         "log": None if log is None else log.coverage,
         "timeline": None if log is None else timeline(log.coverage, log.forces),
         "ranges": () if log is None else joint_ranges(log.coverage, content.limits),
@@ -201,7 +203,7 @@ def _missing(result: MethodResult) -> str:
     """Return what a result without data of its log lacks, as HTML."""
     if result.log is None:
         what = "measured forces, errors, and the motion of the log"
-    elif result.log.forces is None:
+    elif drawn_forces(result.log) is None:
         what = "measured forces and errors, because the log is too short"
     else:
         return ""

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import (
     FORMAT,
-    MAX_BYTES,
     SensorCalibration,
     load_archive,
     load_calibration,
@@ -304,20 +303,22 @@ def test_memory_is_not_allocated_beyond_an_arrays_bytes(stored, tmp_path):
         load_archive(path)
 
 
-def test_an_archive_beyond_the_unpacked_limit_is_rejected(stored, tmp_path):
+def test_an_archive_beyond_the_unpacked_limit_is_rejected(stored, tmp_path, monkeypatch):
+    limit = 64 << 20
+    monkeypatch.setattr("symbid_ros.estimation.archive.MAX_BYTES", limit)
     path = tmp_path / "bomb.npz"
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("rows_0.npy", "w", force_zip64=True) as stream,
     ):
         np.lib.format.write_array_header_1_0(
-            stream, {"descr": "<f8", "fortran_order": False, "shape": (MAX_BYTES // 8,)}
+            stream, {"descr": "<f8", "fortran_order": False, "shape": (limit // 8,)}
         )
-        for _ in range(MAX_BYTES >> 24):
+        for _ in range(limit >> 24):
             stream.write(bytes(1 << 24))
     assert path.stat().st_size < 1 << 20
     tracemalloc.start()
-    with pytest.raises(EstimateError, match="512 MiB unpacked"):
+    with pytest.raises(EstimateError, match="64 MiB unpacked"):
         load_archive(path)
     assert tracemalloc.get_traced_memory()[1] < 1 << 22
     tracemalloc.stop()

@@ -8,6 +8,7 @@ import pytest
 from matplotlib.image import imread
 from report_pages import content_of_a_log
 
+from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.content import ParameterCorrelation
 from symbid_ros.report.matrices import (
     NEGATIVE,
@@ -59,3 +60,12 @@ def test_largest_changes_are_in_deviations_of_the_original():
     sizes = [float(one.deviations.replace("−", "-")) for one in found]
     assert sizes == pytest.approx(np.sort(change)[::-1][: len(found)], abs=0.051)
     assert largest_changes(estimate, None) == ()
+
+
+def test_names_beside_the_correlations_of_a_large_robot_have_room():
+    names = tuple(f"link_{link}/{kind}" for link in range(60) for kind in PARAMETERS)
+    picture = correlation_image(ParameterCorrelation(names, np.eye(len(names))))
+    starts = np.cumsum([0, *(count for _, count in picture.groups)])[:-1]
+    named = [start for start, (name, _) in zip(starts, picture.groups, strict=True) if name]
+    assert starts[-1] == 590
+    assert np.diff(named).min() * 22 >= len(names)
