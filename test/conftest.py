@@ -22,6 +22,10 @@ from symbid_ros.cli.processes import unused_domain
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# The tests start hundreds of processes: without bytecode each would compile SciPy anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 # A busy machine is slow, which is no fault of what is tested; equal runs test equal examples.
 settings.register_profile(
     "tests",

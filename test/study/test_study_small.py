@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import DESKTOP, PHONE
-from small_study import PLAN, SmallStudy, symbid
+from small_study import PLAN, InlineExecutor, SmallStudy
 
 from symbid_ros.bags import bag_log
 from symbid_ros.estimation.prior import draw_prior
@@ -27,14 +28,12 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.simulation.options import SimulateOptions
-from symbid_ros.simulation.recording import record
-from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.study.draws import StudyResults
-from symbid_ros.study.plan import load_plan
+from symbid_ros.study.page import publish
+from symbid_ros.study.plan import Plan, load_plan
 from symbid_ros.study.stages import study_stages
 from symbid_ros.study.study_folder import StudyFolder
-from symbid_ros.study.task_runner import run_tasks, worker_pool
+from symbid_ros.study.task_runner import run_tasks
 
 KINDS = {"±25 %": ("percent", 25.0), "±0.125": ("absolute", 0.125)}
 COLUMNS = {
@@ -56,22 +55,17 @@ TITLES = {
 
 
 @pytest.fixture(scope="module")
-def direct(tmp_path_factory) -> dict[tuple[str, str], dict[str, float]]:
+def direct(simulated) -> dict[tuple[str, str], dict[str, float]]:
     """Return the mean errors by prior and method, from direct calls."""
-    folder = tmp_path_factory.mktemp("direct")
-    record(
-        Simulator(SimulateOptions("smooth", moves=2, motion_seed=5, noise_seed=6)), folder / "log"
-    )
-    record(
-        Simulator(SimulateOptions("smooth", moves=1, motion_seed=7, ideal=True)), folder / "ideal"
+    logs = (
+        simulated("smooth", moves=1, motion_seed=21, noise_seed=5),
+        simulated("smooth", moves=1, motion_seed=22, ideal=True),
     )
     parameters = ParameterSet(load_model(config_file("symbitron.xml")))
     filtered = Processing(LowPass(30.0))
-    log, ideal = (
-        read_dataset(bag_log([folder / n]), parameters, filtered) for n in ("log", "ideal")
-    )
-    windows = read_dataset(bag_log([folder / "log"]), parameters)
-    motion = read_true_motion([folder / "ideal"], parameters.model)[::10]
+    log, ideal = (read_dataset(bag_log([bag]), parameters, filtered) for bag in logs)
+    windows = read_dataset(bag_log([logs[0]]), parameters)
+    motion = read_true_motion([logs[1]], parameters.model)[::10]
     means = {}
     for label, (kind, amount) in KINDS.items():
         found: dict[str, list] = {method: [] for method in TITLES}
@@ -152,14 +146,12 @@ def test_deleted_results_are_computed_again_exactly(small: SmallStudy):
     folder = StudyFolder(small.out)
     lost = [
         small.out / "work/draws/smooth, percent 25, 1.json",
-        small.out / "work/rows/smooth of 2 moves 5, noise 1 x 6, all, 30 Hz.npz",
+        small.out / "work/rows/smooth of 1 moves 21, noise 1 x 5, all, 30 Hz.npz",
     ]
     before = json.loads(lost[0].read_text())
     for file in lost:
         file.unlink()
-    with worker_pool(1) as pool:
-        for stage in study_stages(small.plan, folder):
-            run_tasks(pool, stage.tasks, lambda _: None)
+    run_inline(small.plan, folder)
     assert all(file.exists() for file in lost)
     assert json.loads(lost[0].read_text()) == before
 
@@ -176,18 +168,25 @@ def test_another_plan_is_rejected_and_files_stay(small: SmallStudy, symbid_here,
 
 
 @pytest.mark.parametrize("method", ["ols", "map"])
-def test_study_of_one_method(tmp_path: Path, method: str):
+def test_study_of_one_method(small: SmallStudy, tmp_path: Path, method: str):
     file = tmp_path / "one.yaml"
     file.write_text(
         "title: One method\nabout: It needs the rows of no other.\niterations: 1\n"
-        "data: { short: { scenario: smooth, moves: 1, motion_seed: 5, noise_seed: 6 } }\n"
-        "validation: { scenario: smooth, moves: 1, motion_seed: 7, noise: 0.0 }\n"
+        "data: { short: { scenario: smooth, moves: 1, motion_seed: 21, noise_seed: 5 } }\n"
+        "validation: { scenario: smooth, moves: 1, motion_seed: 22, noise: 0.0 }\n"
         f"priors: [{{ percent: 25.0 }}]\nmethods: [{method}]\n"
     )
-    result = symbid("study", file, "--out", tmp_path / "out", "--workers", 1)
-    assert result.returncode == 0, result.stderr
-    results = StudyResults.read(load_plan(str(file))[0], StudyFolder(tmp_path / "out"))
+    plan, folder = load_plan(str(file))[0], StudyFolder(tmp_path / "out")
+    shutil.copytree(small.out / "work/logs", folder.work / "logs")  # not simulated again
+    run_inline(plan, folder)
+    assert publish(plan, folder).is_file()
+    results = StudyResults.read(plan, folder)
     assert method in {case.method for case in results.draws}
+
+
+def run_inline(plan: Plan, folder: StudyFolder) -> None:
+    for stage in study_stages(plan, folder):
+        run_tasks(InlineExecutor(), stage.tasks, lambda _: None)
 
 
 def test_interrupted_study_leaves_no_process_and_no_partial_bag(tmp_path: Path):

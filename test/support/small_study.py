@@ -3,8 +3,11 @@
 import os
 import subprocess
 import sys
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from symbid_ros.study.draws import StudyResults
 from symbid_ros.study.plan import Plan, load_plan
@@ -14,8 +17,8 @@ PLAN = """\
 title: A small study
 thesis: true
 data:
-  smooth: { scenario: smooth, moves: 2, motion_seed: 5, noise_seed: 6 }
-validation: { scenario: smooth, moves: 1, motion_seed: 7, noise: 0.0 }
+  smooth: { scenario: smooth, moves: 1, motion_seed: 21, noise_seed: 5 }
+validation: { scenario: smooth, moves: 1, motion_seed: 22, noise: 0.0 }
 priors: [{ percent: 25.0 }, { absolute: 0.125 }]
 iterations: 2
 prior_seed: 8
@@ -33,7 +36,7 @@ accelerations:
   logs:
     vibrating: { scenario: vibrating, moves: 1 }
     floating: { scenario: suspended, moves: 1 }
-equation: { scenario: smooth, moves: 1, motion_seed: 7, noise: 0.0 }
+equation: { scenario: smooth, moves: 1, motion_seed: 22, noise: 0.0 }
 closed_loop: { data: smooth, priors: [{ percent: 25.0 }], iterations: 1, moves: 1 }
 """
 
@@ -50,6 +53,18 @@ class SmallStudy:
     @property
     def results(self) -> StudyResults:
         return StudyResults.read(self.plan, StudyFolder(self.out))
+
+
+class InlineExecutor(Executor):
+    """Runs tasks in this process, which has their libraries loaded already."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
 
 
 def symbid(*arguments: object) -> subprocess.CompletedProcess[str]:
