@@ -46,8 +46,9 @@ def page_file(request, tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("width", [DESKTOP, PHONE])
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize(
+    ("width", "dark"), [(DESKTOP, False), (PHONE, True)], ids=["desktop-light", "phone-dark"]
+)
 def test_the_page_fits_and_has_no_problem(browser, page_file, width, dark):
     assert page_file.stat().st_size < MOST_BYTES
     with browser.page(page_file, width, dark=dark) as page:

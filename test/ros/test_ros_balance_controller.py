@@ -19,6 +19,9 @@ CONTROL = "/balance_controller: control"
 # On a busy machine a process may wait longer than the default timeout.
 PATIENT = {"command_source": "topic", "command_timeout": 60.0, "real_time_factor": 100.0}
 
+# A robot that is only waited for takes no more steps than a real one.
+PACED = PATIENT | {"real_time_factor": 1.0}
+
 
 def nanoseconds(stamp) -> int:
     return stamp.sec * 10**9 + stamp.nanosec
@@ -89,7 +92,7 @@ def test_the_robot_moves_as_with_the_internal_controller(graph) -> None:
 
 def test_each_node_resumes_after_the_other_is_killed(graph) -> None:
     clock, statuses = Clocked(graph), StatusProbe(graph)
-    bridge = graph.start("mujoco_bridge", **PATIENT | {"command_timeout": 1.0})
+    bridge = graph.start("mujoco_bridge", **PACED | {"command_timeout": 1.0})
     graph.wait_until(lambda: statuses.message(COMMANDS) == "waiting for a controller")
     assert not clock.stamps, "simulated time waits for a controller"
 
@@ -111,7 +114,7 @@ def test_each_node_resumes_after_the_other_is_killed(graph) -> None:
     jumps = clock.jumps
     bridge.kill()
     graph.wait_until(lambda: statuses.message(CONTROL).startswith("no measurements"))
-    bridge = graph.start("mujoco_bridge", **PATIENT)
+    bridge = graph.start("mujoco_bridge", **PACED)
     graph.wait_until(lambda: clock.jumps == jumps + 1 and clock.now > 0.3)
     for process in (controller, bridge):
         process.send(signal.SIGTERM)
@@ -124,7 +127,7 @@ def test_each_node_resumes_after_the_other_is_killed(graph) -> None:
 
 def test_reset_and_pause(graph) -> None:
     clock, statuses = Clocked(graph), StatusProbe(graph)
-    bridge = graph.start("mujoco_bridge", **PATIENT)
+    bridge = graph.start("mujoco_bridge", **PACED)
     controller = graph.start("balance_controller")
     graph.wait_until(lambda: clock.now > 0.3)
     assert call(graph, Trigger, "/mujoco_bridge/reset").success
@@ -146,7 +149,7 @@ def test_bad_commands_are_reported_and_ignored(graph) -> None:
     states, statuses = [], StatusProbe(graph)
     graph.node.create_subscription(JointState, "joint_states", states.append, RELIABLE)
     commands = graph.node.create_publisher(JointState, "joint_command", RELIABLE)
-    bridge = graph.start("mujoco_bridge", **PATIENT)
+    bridge = graph.start("mujoco_bridge", **PACED)
     graph.wait_until(lambda: states)
     drives = Simulator(SimulateOptions("tare")).drive_names
     first = states[0]

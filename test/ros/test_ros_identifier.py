@@ -1,4 +1,4 @@
-"""Bridge, recorder and identifier over real topics, against the command on the same bag."""
+"""The identifier of bags: its files and topics, against the command on the same bag."""
 
 import json
 import signal
@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_editing import topic_counts
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from preloaded import run_symbid
@@ -25,25 +24,11 @@ from symbid_ros.simulation.simulator import Simulator
 
 ARCHIVES = {"information.npz", "report_data.npz"}
 FILES = {"estimate.json", "model.urdf", "model.xml", *ARCHIVES}
-SENSORS = "[joint_states, imu/data, left_foot/wrench, right_foot/wrench]"
 LATCHED = QoSProfile(
     depth=1,
     reliability=QoSReliabilityPolicy.RELIABLE,
     durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
 )
-
-
-def recorded(graph, bag: Path) -> Path:
-    """Record a bag of the sensor topics only, with bridge and recorder."""
-    recorder = graph.start("recorder", bag=bag, topics=SENSORS)
-    bridge = graph.start("mujoco_bridge", moves=1, motion_seed=7, wait_for_subscribers=True)
-    played = json.loads(bridge.ended().out)
-    recorder.send(signal.SIGINT)
-    assert recorder.ended().status == 0
-    counts = topic_counts(bag)
-    assert len(counts) == 4
-    assert counts == {topic: played["published"][topic] for topic in counts}
-    return bag
 
 
 def command(bag: Path, out: Path, *options: object) -> dict[str, Any]:
@@ -73,8 +58,10 @@ def same_files(one: Path, other: Path) -> bool:
     return arrays and same_models and found == expected
 
 
-def test_live_identification_equals_that_of_the_command(graph, tmp_path: Path) -> None:
-    bag = recorded(graph, tmp_path / "bag")
+def test_identification_by_the_node_equals_that_of_the_command(
+    graph, simulated, tmp_path: Path
+) -> None:
+    bag = simulated("smooth", moves=1, motion_seed=21, noise_seed=5)
     model = config_file("symbitron.xml")
     parameters = ParameterSet(load_model(model))
     draw_prior(parameters, "percent", 25, 4).write(tmp_path / "prior.json")

@@ -96,12 +96,12 @@ def assert_same(live: Path, bag: Path) -> None:
 def test_topics_give_the_same_estimate_as_their_bag(graph, tmp_path: Path) -> None:
     probe = EstimateProbe(graph)
     recorder = graph.start("recorder", bag=tmp_path / "bag", topics=SENSORS)
-    live = identifier(graph, out=tmp_path / "live", **LINKS)
+    live = identifier(graph, out=tmp_path / "live", solve_period=0.5, **LINKS)
     inertias: list[InertiaStamped] = []
     graph.node.create_subscription(
         InertiaStamped, "/identifier/inertia/base_link", inertias.append, LATCHED
     )
-    played = json.loads(bridge(graph, moves=3, motion_seed=8, subscribers=2).ended().out)
+    played = json.loads(bridge(graph, moves=1, motion_seed=8, subscribers=2).ended().out)
     answer = call(graph, Trigger, "/identifier/save")
     assert answer.success
     assert str(tmp_path / "live") in answer.message
@@ -126,7 +126,7 @@ def test_topics_give_the_same_estimate_as_their_bag(graph, tmp_path: Path) -> No
 
 
 def test_a_player_serves_as_well_as_a_robot(graph, simulated, tmp_path: Path) -> None:
-    bag = simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
+    bag = simulated("smooth", moves=1, motion_seed=21, noise_seed=5)
     # At full speed, the stamps of topics may differ by seconds.
     live = identifier(graph, out=tmp_path / "live", lag=30.0, **LINKS)
     player = graph.start(
@@ -148,7 +148,7 @@ def test_services_solve_enable_and_reset(graph) -> None:
     assert not early.success
     assert "no sensor topics yet" in early.message
     bridge(graph, moves=40)
-    graph.wait_until(lambda: probe.estimates and probe.until() > 2.0)
+    graph.wait_until(lambda: probe.estimates and probe.until() > 1.5)
 
     assert "determined by" in call(graph, Trigger, "/identifier/solve").message
     unnamed = call(graph, Trigger, "/identifier/save")
@@ -179,7 +179,7 @@ def test_running_nodes_reconnect_to_restarted_ones(graph) -> None:
     probe = EstimateProbe(graph)
     live = identifier(graph, solve_period=0.5, **LINKS)
     robot = bridge(graph, moves=40)
-    graph.wait_until(lambda: probe.estimates and probe.until() > 3.0)
+    graph.wait_until(lambda: probe.estimates and probe.until() > 1.5)
     robot.kill()
     again = bridge(graph, moves=40)
     graph.wait_until(lambda: probe.values("streams").get("clock_jumps") == "1")
@@ -198,7 +198,7 @@ def test_running_nodes_reconnect_to_restarted_ones(graph) -> None:
 
 
 def test_a_late_wrench_topic_restarts_identification(graph, simulated) -> None:
-    bag = simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
+    bag = simulated("smooth", moves=1, motion_seed=21, noise_seed=5)
     probe = EstimateProbe(graph)
     identifier(graph, solve_period=0.3, **LINKS)
     player = {"bag": f"['{bag}']", "loop": True, "wait_for_subscribers": True}

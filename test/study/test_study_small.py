@@ -308,7 +308,7 @@ def test_controller_tracks_best_with_the_best_model(small: SmallStudy):
     assert "not positive definite" in rows["OLS"]["Ended by"]
 
 
-@pytest.mark.parametrize(("width", "dark"), [(DESKTOP, False), (DESKTOP, True), (PHONE, True)])
+@pytest.mark.parametrize(("width", "dark"), [(DESKTOP, False), (PHONE, True)])
 def test_page_fits_screens_and_has_no_problem(small: SmallStudy, browser, width, dark):
     with browser.page(small.out / "report.html", width, dark=dark) as page:
         assert page.problems == page.requests == page.overflow == []

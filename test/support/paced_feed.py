@@ -43,6 +43,7 @@ SENSORS = {
 RATES = {"joint_states": 1000.0, "imu/data": 5.0}  # Hz; of a recorder to be killed
 DEADLINE = 300.0  # s; only a hang takes longer
 LOOK = 0.002  # s
+WINDOW = 0.3  # s before a kill in which the recorder's waits for a processor are counted
 VARIETY = 64  # different messages in rotation, because equal ones would compress too well
 
 
@@ -102,12 +103,14 @@ class Kill:
 
     ``lost`` is the age of the oldest missing message, s, and ``kept`` the number of messages in
     the bag, by topic. ``standstill`` is the longest delay, s, of the publisher or of a thread on
-    each processor that only reads the clock.
+    each processor that only reads the clock. ``waited`` is how long the threads of the recorder
+    were ready to run but had no processor in the last ``WINDOW`` seconds, s.
     """
 
     lost: dict[str, float]
     kept: dict[str, int]
     standstill: float
+    waited: float
 
 
 def kill_recorder(seconds: float, folder: Path) -> Kill:
@@ -151,7 +154,10 @@ def _kill_while_feeding(pid: int, feeds: Sequence[Feed], seconds: float, bag: Pa
     with ThreadPoolExecutor() as pool:
         late = [pool.submit(feed, feeds, stop)]
         late += [pool.submit(_watch, cpu, stop) for cpu in os.sched_getaffinity(0)]
-        stop.wait(seconds)
+        stop.wait(max(0.0, seconds - WINDOW))
+        begin = _time_without_processor(pid)
+        stop.wait(min(seconds, WINDOW))
+        waited = _time_without_processor(pid) - begin
         os.kill(pid, signal.SIGKILL)
         killed = time.time_ns()
         stop.set()
@@ -163,7 +169,18 @@ def _kill_while_feeding(pid: int, feeds: Sequence[Feed], seconds: float, bag: Pa
         missing = [stamp for stamp in each.stamps if stamp < killed and stamp not in found]
         lost[each.topic] = (killed - min(missing)) * 1e-9 if missing else 0.0
         kept[each.topic] = len(found)
-    return Kill(lost, kept, max(each.result() for each in late))
+    return Kill(lost, kept, max(each.result() for each in late), waited)
+
+
+def _time_without_processor(pid: int) -> float:
+    """Return how long the threads of a process have waited for a processor, s.
+
+    It is the second number of /proc/PID/task/TID/schedstat, see sched-stats.rst of the kernel.
+    """
+    waits = (
+        int(file.read_text().split()[1]) for file in Path(f"/proc/{pid}/task").glob("*/schedstat")
+    )
+    return sum(waits) * 1e-9
 
 
 def _watch(cpu: int, stop: Event) -> float:
