@@ -1,5 +1,6 @@
 """The examples run as their texts say."""
 
+import contextlib
 import json
 import os
 import signal
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import pytest
+from preloaded import PreloadedProcess
 from random_robots import random_robot
 from tree_simulation import TreeSimulation
 
@@ -27,15 +29,12 @@ def bag(simulated) -> Path:
 
 
 def run(script: str, *words: object, cwd: Path) -> str:
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / script), *map(str, words)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    return done.stdout
+    command = [str(EXAMPLES / script), *map(str, words)]
+    with contextlib.chdir(cwd):
+        process = PreloadedProcess("preloaded:run_script", command, os.environ, cwd / script)
+    out, err = process.communicate()
+    assert (process.returncode, err) == (0, "")
+    return out
 
 
 def test_an_arm_identified_from_arrays_has_the_true_mass(tmp_path) -> None:

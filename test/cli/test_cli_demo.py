@@ -3,6 +3,7 @@
 import json
 
 from bag_editing import topic_counts
+from preloaded import run_symbid
 from report_pages import Page
 
 from symbid_ros.estimation.truncated_svd import METHODS
@@ -12,9 +13,10 @@ TITLES = ("prior", "OLS", "WLS-R", "WLS-C", "WLS-RC", "WLS-RC, own z", "MAP", "M
 FOLDERS = {method: method for method in (*METHODS, "map", "map_lmi")} | {"wls_rc_own_z": "wls_rc"}
 
 
-def test_the_demo_writes_all_its_files(symbid, tmp_path) -> None:
+def test_the_demo_writes_all_its_files(tmp_path, monkeypatch) -> None:
     out = tmp_path / "demo"
-    ended = symbid("demo", "--moves", 1, "--out", out, columns=120)
+    monkeypatch.setenv("COLUMNS", "120")
+    ended = run_symbid("demo", "--moves", 1, "--out", out, output=tmp_path / "first")
     assert ended.returncode == 0, ended.stderr
     assert all(f" {title} " in ended.stdout for title in TITLES)
     counts = topic_counts(out / "bag")
@@ -54,6 +56,6 @@ def test_the_demo_writes_all_its_files(symbid, tmp_path) -> None:
     sections = page.attributes("id")
     assert {"forces", "robot", "data-summary", "realistic", "truncation"} <= set(sections)
 
-    again = symbid("demo", "--out", out)
+    again = run_symbid("demo", "--out", out, output=tmp_path / "again")
     assert again.returncode == 2
     assert "--overwrite" in again.stderr

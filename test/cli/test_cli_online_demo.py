@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_editing import topic_counts
+from preloaded import run_symbid
 from report_pages import Page
 
 from symbid_ros.model.load import load_model
@@ -23,9 +24,11 @@ DEADLINE = 300.0  # s; only a hang takes as long
 NODES = {"identifier", "recorder", "monitor", "mujoco_bridge"}
 
 
-def test_the_estimates_converge_and_are_reported(symbid, tmp_path: Path) -> None:
+def test_the_estimates_converge_and_are_reported(tmp_path: Path, monkeypatch) -> None:
     out = tmp_path / "demo"
-    ended = symbid("demo", "--online", "--moves", 1, "--out", out, columns=120)
+    monkeypatch.setenv("COLUMNS", "120")
+    words = ("demo", "--online", "--moves", 1, "--out", out)
+    ended = run_symbid(*words, output=tmp_path / "symbid")
     assert ended.returncode == 0, ended.stderr
     lines = ended.stdout.splitlines()
     told = [line for line in lines if line.startswith("data to")]
@@ -60,9 +63,10 @@ def test_the_estimates_converge_and_are_reported(symbid, tmp_path: Path) -> None
     assert f"{out}/report.html" in ended.stdout.replace("\n", "")
 
 
-def test_the_page_is_offered_while_a_payload_is_attached(symbid, tmp_path: Path) -> None:
+def test_the_page_is_offered_while_a_payload_is_attached(tmp_path: Path) -> None:
     out = tmp_path / "demo"
-    ended = symbid("demo", "--online", "--web", "--port", 0, "--moves", 1, "--out", out)
+    words = ("demo", "--online", "--web", "--port", 0, "--moves", 1, "--out", out)
+    ended = run_symbid(*words, output=tmp_path / "symbid")
     assert ended.returncode == 0, ended.stderr
     assert re.search(r"Open http://127\.0\.0\.1:\d+/\?token=\S+", ended.stdout)
     saved = json.loads((out / "online" / "estimate.json").read_text())["parameters"]

@@ -1,9 +1,14 @@
-"""A study on a cluster writes the tables of a study in processes of one machine."""
+"""A study on a cluster writes the tables of a study on one machine."""
 
 import shutil
 
 import pytest
-from small_study import symbid
+from preloaded import run_symbid
+from small_study import run_inline
+
+from symbid_ros.study.page import publish
+from symbid_ros.study.plan import load_plan
+from symbid_ros.study.study_folder import StudyFolder
 
 pytest.importorskip("distributed", reason="clusters are not tested: Dask is not installed")
 
@@ -20,20 +25,20 @@ methods: [wls_rc]
 """
 
 
-def run(*arguments: object) -> None:
-    ran = symbid(*arguments)
-    assert ran.returncode == 0, ran.stderr
-
-
 def test_a_study_on_a_cluster_gives_the_same_tables(cluster, tmp_path) -> None:
     (tmp_path / "plan.yaml").write_text(PLAN, encoding="utf-8")
     alone, both = tmp_path / "alone", tmp_path / "both"
-    run("study", tmp_path / "plan.yaml", "--out", alone, "--workers", 1)
+    content, folder = load_plan(str(tmp_path / "plan.yaml"))[0], StudyFolder(alone)
+    folder.reserve(content)
+    run_inline(content, folder)
+    publish(content, folder)
     # Simulating takes longest; what follows is done again.
     shutil.copytree(alone, both)
     for folder in ("work/rows", "work/draws", "tables"):
         shutil.rmtree(both / folder)
-    run("study", tmp_path / "plan.yaml", "--out", both, "--dask", cluster.address)
+    words = ("study", tmp_path / "plan.yaml", "--out", both, "--dask", cluster.address)
+    ran = run_symbid(*words, output=tmp_path / "symbid")
+    assert ran.returncode == 0, ran.stderr
     tables = [sorted((folder / "tables").iterdir()) for folder in (alone, both)]
     assert [one.name for one in tables[0]] == [one.name for one in tables[1]]
     assert tables[0]

@@ -25,9 +25,9 @@ def believed(kind: str, seed: int):
 MOVING = [
     ("smooth", {"moves": 3, "motion_seed": 21, "noise_seed": 5}),
     ("smooth", {"moves": 1, "motion_seed": 22, "ideal": True}),
-    ("squat", {"moves": 2, "motion_seed": 34, "errors": "typical,quantisation"}),
-    ("vibrating", {"moves": 2, "motion_seed": 35}),
-    ("suspended", {"moves": 2, "motion_seed": 36}),
+    ("squat", {"moves": 1, "motion_seed": 34, "errors": "typical,quantisation"}),
+    ("vibrating", {"moves": 1, "motion_seed": 35}),
+    ("suspended", {"moves": 1, "motion_seed": 36}),
 ]
 
 

@@ -223,7 +223,7 @@ def test_a_change_caused_by_a_payload_names_its_link(graph) -> None:
     graph.wait_until(
         lambda: probe.statuses["change"].message == "no change"
     )  # there are enough data by now
-    graph.wait_until(lambda: probe.until() > 15.0)
+    graph.wait_until(lambda: probe.until() > 10.0)
     request = SetParameters.Request(
         parameters=[
             Parameter(name="payload_link", value=ParameterValue(type=4, string_value="L_thigh")),

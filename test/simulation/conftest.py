@@ -28,12 +28,12 @@ def simulate(scenario: str, **options) -> Run:
 
 @pytest.fixture(scope="session")
 def smooth() -> Run:
-    return simulate("smooth", moves=3, motion_seed=3)
+    return simulate("smooth", moves=2, motion_seed=3)
 
 
 @pytest.fixture(scope="session")
 def squat() -> Run:
-    return simulate("squat", moves=4, motion_seed=6)
+    return simulate("squat", moves=2, motion_seed=6)
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import DESKTOP, PHONE
-from small_study import PLAN, InlineExecutor, SmallStudy
+from small_study import PLAN, SmallStudy, run_inline
 
 from symbid_ros.bags import bag_log
 from symbid_ros.estimation.prior import draw_prior
@@ -30,10 +30,8 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.study.draws import StudyResults
 from symbid_ros.study.page import publish
-from symbid_ros.study.plan import Plan, load_plan
-from symbid_ros.study.stages import study_stages
+from symbid_ros.study.plan import load_plan
 from symbid_ros.study.study_folder import StudyFolder
-from symbid_ros.study.task_runner import run_tasks
 
 KINDS = {"±25 %": ("percent", 25.0), "±0.125": ("absolute", 0.125)}
 COLUMNS = {
@@ -182,11 +180,6 @@ def test_study_of_one_method(small: SmallStudy, tmp_path: Path, method: str):
     assert publish(plan, folder).is_file()
     results = StudyResults.read(plan, folder)
     assert method in {case.method for case in results.draws}
-
-
-def run_inline(plan: Plan, folder: StudyFolder) -> None:
-    for stage in study_stages(plan, folder):
-        run_tasks(InlineExecutor(), stage.tasks, lambda _: None)
 
 
 def test_interrupted_study_leaves_no_process_and_no_partial_bag(tmp_path: Path):

@@ -9,6 +9,7 @@ signals and exit status. Only an interpreter's start and end are left out;
 import faulthandler
 import multiprocessing
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -88,6 +89,11 @@ def run_symbid(*arguments: object, output: Path) -> subprocess.CompletedProcess[
     process = PreloadedProcess("symbid_ros.cli.main:main", words, os.environ, output)
     out, err = process.communicate()
     return subprocess.CompletedProcess(words, process.returncode or 0, out, err)
+
+
+def run_script() -> None:
+    """Run ``sys.argv[0]`` as ``python`` does; an entry point for :class:`PreloadedProcess`."""
+    runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 def _run(

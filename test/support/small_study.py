@@ -1,8 +1,5 @@
-"""A small study of everything, and the command that runs it."""
+"""A small study of everything, and tasks of studies in this process."""
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
@@ -11,7 +8,9 @@ from typing import Any
 
 from symbid_ros.study.draws import StudyResults
 from symbid_ros.study.plan import Plan, load_plan
+from symbid_ros.study.stages import study_stages
 from symbid_ros.study.study_folder import StudyFolder
+from symbid_ros.study.task_runner import run_tasks
 
 PLAN = """\
 title: A small study
@@ -67,7 +66,7 @@ class InlineExecutor(Executor):
         return future
 
 
-def symbid(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "symbid_ros.cli.main", *map(str, arguments)]
-    environment = {**os.environ, "COLUMNS": "200"}
-    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+def run_inline(plan: Plan, folder: StudyFolder) -> None:
+    """Run the missing tasks of a study in this process."""
+    for stage in study_stages(plan, folder):
+        run_tasks(InlineExecutor(), stage.tasks, lambda _: None)
