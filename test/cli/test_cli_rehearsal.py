@@ -15,7 +15,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "excitation.md"
-SHORT = ("--starts", "1", "--iterations", "12", "--seconds", "20")
+SHORT = ("--starts", "1", "--iterations", "6", "--seconds", "10")
 
 
 def shown_commands(model: str) -> list[list[str]]:
