@@ -3,6 +3,7 @@
 import inspect
 import logging
 import os
+from shutil import get_terminal_size
 from typing import Annotated, Any
 
 import typer
@@ -35,6 +36,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
+NARROW = 72  # columns of a terminal, below which names of options do not fit in frames
 USAGE = 2  # status after an error that the user can correct
 
 COMMANDS = (
@@ -83,8 +85,13 @@ def _symbid(
 def run() -> int:
     """Run the command line and return its exit status; print an error as one line."""
     console = Console(stderr=True, soft_wrap=True)
-    handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
-    handler.setFormatter(_Formatter("%(message)s"))
+    handler: logging.Handler
+    if console.is_terminal:
+        handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
+        handler.setFormatter(_Formatter("%(message)s"))
+    else:  # Rich would break the lines.
+        handler = logging.StreamHandler()
+        handler.setFormatter(_Formatter("%(levelname)-8s %(message)s"))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     try:
         # Without prog_name, click would use the name of the calling module.
@@ -118,7 +125,18 @@ def _command() -> Any:
     command = typer.main.get_command(app)
     _hide_types_of_flags(command)
     _join_lines_of_help(command)
+    if get_terminal_size().columns < NARROW:
+        _print_plain_help(command)
     return command
+
+
+def _print_plain_help(command: Any) -> None:
+    """Print help without frames, whose columns would cut off the names of options."""
+    subcommands = getattr(command, "commands", {}).values()
+    for subcommand in subcommands:
+        _print_plain_help(subcommand)
+    if not subcommands:
+        command.rich_markup_mode = None
 
 
 def _join_lines_of_help(command: Any) -> None:

@@ -130,7 +130,8 @@ def print_change(found: "RobotChange") -> None:
     for term in found.joint_terms:
         std = None if term.std is None else (term.std,)
         change = _single(term.before, term.after, std)
-        _add_rows(table, (f"{term.name} {term.unit}",), change)
+        unit = term.unit.replace("^2", "²")
+        _add_rows(table, (f"{term.name} {unit}",), change)
     console.print(table)
     console.print(
         "I1, I2, I3: principal moments about the centre of mass; bold: changed by more than 2 ±",
@@ -152,7 +153,7 @@ def _add_rows(
     for name, before, after, std in zip(names, change.before, change.after, stds, strict=True):
         is_large = std is not None and abs(after - before) > 2 * std
         decimals = _decimals(scale * before, scale * after, None if std is None else scale * std)
-        numbers = [f"{scale * value:.{decimals}f}" for value in (before, after)]
+        numbers = [f"{scale * value:.{decimals}f}" if value else "0" for value in (before, after)]
         deviation = "–" if std is None else f"{scale * std:.{decimals}f}"
         table.add_row(
             Text(f"  {name}"), numbers[0], Text(numbers[1], "bold" if is_large else ""), deviation

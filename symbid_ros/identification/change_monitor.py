@@ -67,7 +67,8 @@ def _describe(change: LinkChange) -> str:
         # Adding zero removes the sign of a rounded -0.00.
         x, y, z = np.round(change.phi[1:4] / mass, 2) + 0.0
         place = f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
-    return f"{mass:+.2f} ± {std:.2f} kg{place}"
+    decimals = 2 if std >= 0.005 else 4  # rather than ± 0.00
+    return f"{mass:+.{decimals}f} ± {std:.{decimals}f} kg{place}"
 
 
 class ChangeMonitor:

@@ -52,7 +52,8 @@ def test_verbose_names_steps_and_quiet_leaves_warnings_out(symbid_here, short, t
         '<parent link="world"/><child link="arm"/></joint></robot>'
     )
     words = "prior", "--model", robot, "--percent", 5, "--out", tmp_path / "prior.json"
-    assert "have no mass" in " ".join(symbid_here(*words).stderr.split())
+    (warning,) = symbid_here(*words).stderr.splitlines()
+    assert "have no mass" in warning
     assert symbid_here(*words, "-q").stderr == ""
 
 
@@ -178,3 +179,9 @@ def read_until(terminal: int, text: str) -> None:
         ready, _, _ = select.select([terminal], [], [], DEADLINE)
         assert ready, shown
         shown += os.read(terminal, 1 << 16)
+
+
+def test_help_on_a_narrow_terminal_has_complete_names(symbid_here) -> None:
+    shown = symbid_here("excite", "--help", columns=60).stdout
+    assert "--accelerometer-noise" in shown
+    assert max(map(len, shown.splitlines())) <= 60
