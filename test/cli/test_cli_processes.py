@@ -13,13 +13,14 @@ from symbid_ros.errors import SymbidError
 
 
 def test_two_callers_get_different_domains():
-    with unused_domain([61, 62]) as first, unused_domain([61, 62]) as second:
-        assert {first, second} == {61, 62}
+    with unused_domain() as first, unused_domain() as second:
+        assert first != second
         refused = pytest.raises(SymbidError, match="each of 2 ROS domains is in use")
-        with refused, unused_domain([61, 62]):
+        with refused, unused_domain([first, second]):
             pass
-    with unused_domain([first]) as again:
-        assert again == first
+    # Another process may have reserved one of them by now.
+    with unused_domain([first, second]) as again:
+        assert again in {first, second}
 
 
 @pytest.mark.parametrize("discovery", ["LOCALHOST", "SUBNET"])
