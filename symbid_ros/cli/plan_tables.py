@@ -15,7 +15,7 @@ from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.options import spelled
 from symbid_ros.report.formatting import significant
 
-MOMENTS = 4  # of the parameters are the mass and its first moments
+MOMENTS = 4  # number of a link's first parameters: mass and first moments
 
 
 def print_plan(plan: ExcitationPlan, out: Path) -> None:

@@ -105,8 +105,8 @@ class Prior:
         """Return a square root (p, p) of the covariance, and a share (count,) of its columns.
 
         Errors along different columns are independent, whatever the sizes of the two kinds of
-        errors in the first ``count`` parameters are. The share is that of links that are other
-        bodies in the column's variance.
+        errors in the first ``count`` parameters, which do not depend on the others. The share is
+        that of links that are other bodies in the column's variance.
         """
         root = self.covariance_factor()
         if self.alone is None:

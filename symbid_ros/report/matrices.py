@@ -84,7 +84,8 @@ class CorrelationImage:
     address : str
         PNG as a data URI.
     groups : tuple of (str, int)
-        Owners of consecutive parameters and their numbers; without name where there is no room.
+        Link or joint of consecutive parameters, and how many it has. The name is empty where it
+        does not fit.
     pairs : tuple of (str, str, str)
         The strongest correlations between parameters, and their values.
     """

@@ -74,9 +74,10 @@ class CombinedCoordinates:
         )
 
     def valid(self) -> tuple[BoolArray, BoolArray | None]:
-        """Return which rows of windows (W, n) are valid, and which of them need no joint to slip.
+        """Return which rows of windows (W, n) are valid, and which of them no joint sticks in.
 
-        Each joint must slip for most of the window, but all of them need not at the same time.
+        Each joint must slip for most of the window, but not all of them at the same time. The
+        second part is None if the joints' terms are given.
         """
         contacts = self.model.contacts
         assert contacts is not None

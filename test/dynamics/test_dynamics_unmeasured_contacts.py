@@ -12,7 +12,7 @@ from symbid_ros.errors import ModelError
 from symbid_ros.estimation.information import random_motions
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.sampled_rows import sampled_rows
+from symbid_ros.signals.sampled_rows import CombinedCoordinates, sampled_rows
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 
@@ -126,3 +126,19 @@ def test_windows_in_which_a_contact_opens_are_left_out(quadruped):
 def test_contacts_that_explain_everything_are_refused(quadruped):
     with pytest.raises(ModelError, match="mark points as FRAME:point"):
         with_contacts(quadruped, FEET)
+
+
+def test_each_joint_must_slip_for_most_of_a_window_but_not_at_the_same_time(quadruped):
+    model = with_contacts(quadruped, POINTS)
+    touching = np.ones((1, len(FEET)))
+    obeys = np.ones((1, 18))
+    slips = obeys.copy()
+    slips[0, [6, 9, 12]] = 0.85  # if not at the same time, all three slip for 55 % of the window
+    rows = CombinedCoordinates(model, obeys, obeys, slips, touching)
+    kept = model.contacts.coordinates
+    valid, free = rows.valid()
+    assert set(np.flatnonzero(valid)) == set(np.flatnonzero(free)) == set(kept)
+    slips[0, 9] = 0.75
+    valid, free = replace(rows, slips=slips).valid()
+    assert set(np.flatnonzero(valid)) == set(kept)
+    assert not free.any()
