@@ -147,8 +147,8 @@ FURTHER_DATA = {
         "https://github.com/Gepetto/example-robot-data (pip install example-robot-data==6.0.0)",
         "MIT; a1.urdf: BSD",
         {
-            "residual_learning/data/mix-20traj": "6f5b583de73517abab82fd8c61fe079a"
-            "dc530f09ac4d1bb083cba39ee77703f0",
+            "residual_learning/data/mix-20traj": "271aebae79e1fc67a5efc44ff690edf2"
+            "dccbe4f1870fe546ae72d1f19bf3864f",
             "a1.urdf": "48ddf0c904a271358e6f0e6b74c25bf3c704575888182b24c367761c92f46d43",
         },
         a1,

@@ -87,7 +87,8 @@ class Posterior:
     is_scaled : bool
         Whether the evidence chose that factor.
     noise_share : float
-        Largest share of a direction's apparent information that is noise in the regressor.
+        Largest share of a direction's apparent information that is noise in the regressor, but for
+        one direction in a hundred.
     excess_score : (p, k) float64 or None
         N: correlation of the residuals in time adds the covariance N Nᵀ to the score, see
         :mod:`symbid_ros.estimation.sandwich`. None without such correlation.
@@ -244,10 +245,15 @@ class _Square:
         return x, np.sqrt(least)[:, None] * V.T / scale
 
     def noise_share(self, scale: FloatArray) -> float:
-        """Return the largest share of a direction's information that is noise."""
+        """Return the largest share of a direction's information that is noise.
+
+        One direction in a hundred is not regarded, such as that of a joint which hardly moves.
+        Where noise dominates, the prior remains.
+        """
         R, _ = self._with_noise(scale)
         inverse = solve_triangular(R, np.eye(len(R)))
-        return float(np.linalg.eigvalsh(inverse.T @ self.T @ inverse).max(initial=0.0))
+        shares = np.linalg.eigvalsh(inverse.T @ self.T @ inverse)
+        return float(max(shares[-1 - len(shares) // 100], 0.0))
 
     def _with_noise(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the factor R (p, p) of the precision and x (p,) before noise is subtracted."""

@@ -35,6 +35,10 @@ MIXED = 0.5
 # by 0.79.
 LEAST_GAIN = 0.5
 
+# Log-likelihood that one armature of all drives must add, and of how many drives at least.
+COMMON = 5.0
+FEWEST_ALIKE = 6
+
 # Terms by which a coupled drive is found; its armature resembles the links' inertias.
 FRICTION: tuple[Term, ...] = ("viscous", "coulomb")
 
@@ -82,6 +86,22 @@ class CandidateTerms:
         kinds = [self._parameters.names[i].rpartition("/")[2] for i in self._terms]
         is_armature = np.array([kind == "armature" for kind in kinds], dtype=bool)
         return np.asarray(is_armature & (self._terms < self._parameters.first_coupled))
+
+    def have_common_armature(self) -> bool:
+        """Return whether the data support one armature of all drives, with the other terms free.
+
+        Legs have the same motor in each joint. Their armatures may resemble the links' inertias so
+        much that none is visible alone.
+        """
+        some = np.flatnonzero(self.armatures)
+        if len(some) < FEWEST_ALIKE:
+            return False
+        precision = np.linalg.inv(self._covariance[np.ix_(some, some)])
+        shift = (self._mean - self._prior.mean[self._terms])[some]
+        # Least squares of one value for all of them.
+        information = float(precision.sum())
+        value = float(precision.sum(axis=0) @ shift) / information
+        return value > 0 and 0.5 * value**2 * information > COMMON
 
     def mixed(self) -> BoolArray:
         """Return which terms are armatures that would be known far better if the links were."""

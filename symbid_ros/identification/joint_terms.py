@@ -325,7 +325,10 @@ class _Selection:
                 free = cross_validated(free, kept | replaced, found, chosen, parameters)
             return free, sets
 
-        free, sets = selected(of_file | (ambiguous if resolved else unresolved), set())
+        kept = of_file | (ambiguous if resolved else unresolved)
+        if evidence.have_common_armature():
+            kept |= set(terms[evidence.armatures].tolist())
+        free, sets = selected(kept, set())
         # The drives of a robot are alike: if those that the log resolves have no armature, the
         # others have none either.
         if ambiguous and 2 * np.count_nonzero(free[resolved]) < len(resolved):

@@ -439,3 +439,14 @@ def test_few_windows_do_not_give_false_certainty(count):
         error = (found.mean - log.truth) / belief.std
         squares.append(np.mean((found.factor * belief.std @ error) ** 2))
     assert np.median(squares) < 10
+
+
+def test_one_direction_in_a_hundred_may_be_noise():
+    """A joint that rests shows nothing but noise, which must not condemn a whole log."""
+    shares = np.array([0.9, 0.3, 0.1])
+    for count, expected in ((99, shares[0]), (100, shares[1])):
+        # The rows' information is 99 times the prior's.
+        noise = 100 * np.diag(np.pad(shares, (0, count - 3)))
+        zero = np.zeros(count)
+        square = production._Square(99 * np.eye(count), zero, noise, zero, np.eye(1), None)
+        assert square.noise_share(np.ones(count)) == pytest.approx(expected)
