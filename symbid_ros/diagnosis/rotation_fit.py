@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import FloatArray
@@ -62,6 +61,8 @@ def fit_rotation(
     found = [RotationFit(1, np.eye(3), 0.0, plain_scale, plain, plain)]
     if plain < ALIKE:
         return found[0]
+    from scipy.optimize import least_squares  # noqa: PLC0415 - loads slowly, and is seldom needed
+
     scale, cost = scaled(-np.eye(3))
     found.append(RotationFit(-1, np.eye(3), 0.0, scale, cost, plain))
     for sign in (1, -1):

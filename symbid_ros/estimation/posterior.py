@@ -7,12 +7,12 @@ information (errors in variables). Σ is the covariance of the residuals at the 
 x are computed alternately. The factor of the data suffices for that, without a second pass.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
-from scipy.optimize import brentq, minimize
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
@@ -42,8 +42,9 @@ MIN_INFORMATION, MIN_RELATIVE_INFORMATION = 1e-6, 1e-12
 SCALES = (1e-2, 1e4)
 # Deviation of the logarithm of the ratio of two factors: one kind of error may be e² times larger.
 RATIO_STD = 2.0
-# Steps of the search for the two factors, in their logarithms, and the slope at which it ends.
-SEARCH = {"initial_trust_radius": 0.5, "max_trust_radius": 1.0, "gtol": 1e-9}
+# Newton steps of the search for these factors at most, the longest and the shortest in their
+# logarithms, and by how much the cost must still fall.
+SEARCH_STEPS, LONGEST_STEP, SHORTEST_STEP, LEAST_FALL = 50, 1.0, 1e-9, 1e-12
 
 
 @dataclass(frozen=True)
@@ -336,20 +337,17 @@ class _Evidence:
         U, values, _ = np.linalg.svd(self.A, full_matrices=False)
         square, fit = values**2, (U.T @ self.b) ** 2
 
-        def slope(log_scale: float) -> float:
+        def cost(log_scale: FloatArray) -> _Cost:
             ratio = np.exp(2 * log_scale) * square
-            return float(np.sum(ratio / (1 + ratio) * (1 - fit / (1 + ratio))))
+            known, unknown = ratio / (1 + ratio), 1 / (1 + ratio)
+            value = np.sum(np.log1p(ratio) - known * fit)
+            slope = 2 * np.sum(known * (1 - unknown * fit))
+            bend = 4 * np.sum(known * unknown * (1 + (known - unknown) * fit))
+            return float(value), np.array([slope]), np.array([[bend]])
 
-        def cost(log_scale: float) -> float:
-            ratio = np.exp(2 * log_scale) * square
-            return float(np.sum(np.log1p(ratio) - ratio / (1 + ratio) * fit))
-
-        grid = np.linspace(np.log(SCALES[0]), np.log(SCALES[1]), 37)
-        best = int(np.argmin([cost(point) for point in grid]))
-        low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-        if slope(low) * slope(high) >= 0:
-            return float(np.exp(grid[best]))
-        return float(np.exp(brentq(slope, low, high)))
+        grid = np.linspace(np.log(SCALES[0]), np.log(SCALES[1]), 37)[:, None]
+        best = min(grid, key=lambda point: cost(point)[0])
+        return float(np.exp(_minimum(cost, best)[0]))
 
     def two_scales(self, share: FloatArray, start: FloatArray | None = None) -> FloatArray:
         """Return the logarithms (2,) of the factors λ and μ on two kinds of errors.
@@ -369,10 +367,8 @@ class _Evidence:
             start = np.full(2, np.log(self.common_scale()))
         shares, ratio = np.array([share, 1 - share]), np.array([1.0, -1.0]) / RATIO_STD
 
-        @lru_cache(maxsize=2)
-        def cost(*logs: float) -> tuple[float, FloatArray, FloatArray]:
-            """Return the cost, its gradient (2,) and its Hessian (2, 2)."""
-            variances = np.exp(2 * np.array(logs))[:, None] * shares
+        def cost(logs: FloatArray) -> _Cost:
+            variances = np.exp(2 * logs)[:, None] * shares
             C = cholesky((self.A * variances.sum(axis=0)) @ self.A.T + np.eye(len(self.b)))
             Z = solve_triangular(C, np.column_stack([self.A, self.b]), trans="T")
             Z, z = Z[:, :-1], Z[:, -1]
@@ -384,16 +380,38 @@ class _Evidence:
             gradient = gradient + 2 * (ratio @ logs) * ratio
             return float(value), gradient, bend + 2 * np.outer(ratio, ratio)
 
-        found = minimize(  # type: ignore[call-overload]
-            lambda logs: cost(*logs)[0],
-            start,
-            jac=lambda logs: cost(*logs)[1],
-            hess=lambda logs: cost(*logs)[2],
-            method="trust-exact",
-            options=SEARCH,
-        )
-        logs: FloatArray = np.clip(found.x, *np.log(SCALES))
-        return logs
+        return _minimum(cost, start)
+
+
+# A cost, its gradient (k,) and its Hessian (k, k).
+_Cost = tuple[float, FloatArray, FloatArray]
+
+
+def _minimum(cost: Callable[[FloatArray], _Cost], start: FloatArray) -> FloatArray:
+    """Return where logarithms of factors (k,), near a start and within ``SCALES``, cost least.
+
+    Newton steps that go downhill where the cost is concave too (Dauphin et al. 2014, NIPS 27), and
+    are halved until the cost falls.
+    """
+    logs = start
+    value, gradient, bend = cost(logs)
+    for _ in range(SEARCH_STEPS):
+        values, V = np.linalg.eigh(bend)
+        along = V.T @ gradient
+        size = np.maximum(np.abs(values), np.finfo(float).tiny)
+        if along @ (along / size) < LEAST_FALL:
+            break
+        step = -V @ (along / size)
+        step *= min(1.0, LONGEST_STEP / np.linalg.norm(step))
+        following = np.clip(logs + step, *np.log(SCALES))
+        found = cost(following)
+        while found[0] > value and np.abs(following - logs).max() > SHORTEST_STEP:
+            following = (logs + following) / 2
+            found = cost(following)
+        if found[0] >= value:
+            break
+        logs, (value, gradient, bend) = following, found
+    return logs
 
 
 def posterior(

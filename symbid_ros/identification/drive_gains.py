@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.regressor import Rows, coulomb_column, equation_of_motion
@@ -177,6 +176,8 @@ def _factor(moment: FloatArray) -> _Factor:
     moment : (5, 5) float64
         Of needed torque, speed, sign of the speed, one, and measured effort.
     """
+    from scipy.optimize import nnls  # noqa: PLC0415 - loads slowly, and is seldom needed
+
     size = np.sqrt(np.maximum(moment.diagonal(), 1e-300))
     values, V = np.linalg.eigh(moment / np.outer(size, size))
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * V.T

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, distinct
 from symbid_ros.dynamics.unmeasured_contacts import MOST_FLAGGED
@@ -19,6 +18,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
 from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.splines import interpolating_spline
 from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
 
 logger = logging.getLogger(__name__)
@@ -346,8 +346,7 @@ def _resampled(channel: _Matrix, grid: IntArray) -> FloatArray:
     high = int(np.searchsorted(channel.stamp, grid[-1])) + 3
     stamp, values = channel.stamp[low:high], channel.values[low:high]
     seconds = (stamp - grid[0]) * 1e-9
-    spline = make_interp_spline(seconds, values, k=min(3, len(stamp) - 1))
-    resampled: FloatArray = spline((grid - grid[0]) * 1e-9)
+    resampled: FloatArray = interpolating_spline(seconds, values)((grid - grid[0]) * 1e-9)
     return resampled
 
 

@@ -7,17 +7,21 @@ would read the result, and wrenches in world axes become wrenches on the robot.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import FloatArray, IntArray, concatenated, map_arrays
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import ON_LINK, STANDARD_GRAVITY
 from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.splines import interpolating_spline
 from symbid_ros.signals.streams import ImuStream, WrenchStream
 from symbid_ros.signals.weak_form import prefilter
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 DEGREE = 5  # of the splines, whose second derivative is a cubic
 # Cutoff as a multiple of that of the samples, its largest share of the rate, and the periods of the
@@ -153,10 +157,8 @@ class PoseStream:
         continuous: FloatArray = q * signs[:, None]
         return continuous
 
-    def _spline(self, values: FloatArray) -> BSpline:
-        degree = min(DEGREE, len(self.stamp) - 1)
-        spline: BSpline = make_interp_spline(self._seconds, values, k=degree)
-        return spline
+    def _spline(self, values: FloatArray) -> "BSpline":
+        return interpolating_spline(self._seconds, values, DEGREE)
 
 
 def _times(a: FloatArray, b: FloatArray) -> FloatArray:

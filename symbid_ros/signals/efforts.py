@@ -9,10 +9,10 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.splines import interpolating_spline
 
 logger = logging.getLogger(__name__)
 
@@ -114,7 +114,7 @@ def _fill(stamp: IntArray, column: FloatArray, finite: BoolArray) -> None:
         column[:] = 0.0
         return
     seconds = (stamp - stamp[0]) * 1e-9
-    spline = make_interp_spline(seconds[finite], column[finite], k=min(3, count - 1))
+    spline = interpolating_spline(seconds[finite], column[finite])
     # A cubic would diverge beyond the first and last finite values, which are held instead.
     inside = np.clip(seconds[~finite], seconds[finite][0], seconds[finite][-1])
     column[~finite] = spline(inside)

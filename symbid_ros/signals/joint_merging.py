@@ -3,10 +3,10 @@
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.errors import DataError
+from symbid_ros.signals.splines import interpolating_spline
 from symbid_ros.signals.streams import JointStream
 
 # A publisher may miss this many of its periods in a row before the merged stream has a gap.
@@ -117,15 +117,14 @@ def _at(known: IntArray, values: FloatArray, wanted: IntArray) -> FloatArray:
     finite = np.isfinite(values)
     is_complete = finite.all(axis=0)
     if is_complete.any():
-        spline = make_interp_spline(seconds, values[:, is_complete], k=min(3, len(known) - 1))
+        spline = interpolating_spline(seconds, values[:, is_complete])
         found[np.ix_(between, np.flatnonzero(is_complete))] = spline(at)
     for column in np.flatnonzero(~is_complete):
         here = finite[:, column]
         found[between, column] = np.nan
         if np.count_nonzero(here) < 2:
             continue
-        degree = min(3, int(np.count_nonzero(here)) - 1)
-        spline = make_interp_spline(seconds[here], values[here, column], k=degree)
+        spline = interpolating_spline(seconds[here], values[here, column])
         is_known = here[after[between]] & here[after[between] - 1]
         found[between[is_known], column] = spline(at[is_known])
     return found
