@@ -488,7 +488,7 @@ GIVEN = {
 
 def shortened(said: str) -> str:
     """Return a message without its advice and its list of causes."""
-    ends = "; ", " (", ", according to", ": the model's inertias", ", not checkable", ": move more"
+    ends = "; ", " (", ", according to", ": the model lacks", ", not checkable", ": move more"
     for end in ends:
         said = said.split(end, maxsplit=1)[0]
     return said.replace("refused: ", "")
