@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from symbid_ros.errors import OptionError as OptionError
     from symbid_ros.errors import PriorError as PriorError
     from symbid_ros.errors import SymbidError as SymbidError
+    from symbid_ros.estimation.model_gate import CandidateModel as CandidateModel
+    from symbid_ros.estimation.model_gate import ModelGate as ModelGate
     from symbid_ros.identification.api import diagnose as diagnose
     from symbid_ros.identification.api import identify as identify
     from symbid_ros.identification.api import merge as merge
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "BagError": "errors",
     "BaseMotion": "dynamics.imu",
+    "CandidateModel": "estimation.model_gate",
     "DataError": "errors",
     "Diagnosis": "diagnosis.findings",
     "EstimateError": "errors",
@@ -62,6 +65,7 @@ _MODULES = {
     "METHODS": "choices",
     "Metrics": "identification.evaluation",
     "ModelError": "errors",
+    "ModelGate": "estimation.model_gate",
     "OptionError": "errors",
     "ParameterEstimate": "identification.result",
     "PriorError": "errors",

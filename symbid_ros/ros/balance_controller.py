@@ -17,6 +17,7 @@ from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.types import IMU, JOINT_STATE
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros.commands import CommandPublisher
+from symbid_ros.ros.model_source import ModelSource
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import construct, run_node
 from symbid_ros.ros.raw_subscription import DecodedMessage, DecodedSubscription, wait_for_any
@@ -39,6 +40,21 @@ PARAMETERS = (
     Parameter("motion_seed", 0, "Random seed of the moves.", minimum=0),
     Parameter(
         "model", "", "The controller's MJCF model of the robot; empty: the package's Symbitron."
+    ),
+    Parameter(
+        "model_source",
+        "file",
+        "Where the robot's inertias come from: the file alone, or later also the topics of the "
+        "node identifier, whose models are used when they can be trusted.",
+        choices=("file", "identifier"),
+    ),
+    Parameter(
+        "largest_torque_change",
+        0.25,
+        "Largest change of a torque that an identified model may cause, as a share of the drive's "
+        "limit.",
+        minimum=0.01,
+        maximum=1.0,
     ),
 )
 
@@ -186,6 +202,9 @@ class BalanceNode:
         )
         self._subscriber = FeedbackSubscriber(node, self._controller.joint_names)
         self._publisher = CommandPublisher(node, self._controller.drive_names)
+        self._models: ModelSource | None = None
+        if values["model_source"] == "identifier":
+            self._models = ModelSource(node, self._controller, values["largest_torque_change"])
         # Measurements with and without an answer, and backward jumps of the clock.
         self._answers = {"answered": 0, "unanswered": 0, "restarts": 0}
         self._stamp = 0
@@ -206,6 +225,8 @@ class BalanceNode:
                 self._subscriber.wait(STOP_POLL)
             else:
                 self._answer(feedback)
+                if self._models is not None:
+                    self._models.update()
         print(json.dumps(self._counts()), flush=True)
 
     def _answer(self, feedback: BalanceFeedback) -> None:
@@ -251,7 +272,8 @@ class BalanceNode:
             "mean_ms": f"{1e3 * sum(times) / max(len(times), 1):.3f}",
             "longest_ms": f"{1e3 * max(times, default=0.0):.3f}",
         }
-        return [NodeStatus("control", level, message, values | self._counts())]
+        control = NodeStatus("control", level, message, values | self._counts())
+        return [control] if self._models is None else [control, self._models.status()]
 
 
 def main() -> int:

@@ -1,5 +1,7 @@
 """Balance from sensor readings: leg odometry and a controller that runs beside the plant."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -9,7 +11,8 @@ from scipy.linalg import lapack
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.controller import BalanceController, BalanceGains
+from symbid_ros.simulation.controller import BalanceController, BalanceGains, Reference
+from symbid_ros.simulation.controller_model import replace_inertias
 from symbid_ros.simulation.plant import Plant, State, site_ids
 from symbid_ros.simulation.scenario import SOLES, STANDING, draw_standing_task, require_seed
 from symbid_ros.simulation.sensors import SCALAR_FIRST, BalanceFeedback
@@ -21,6 +24,55 @@ SOLE_TURNING, SOLE_SLIDING = 5e-3, 1e-3  # rad/s, m/s
 # Weight of the newest velocity in exponential smoothing. The lag of 3 periods does not affect
 # balance; the noise, reduced to a third, no longer makes the legs vibrate.
 SMOOTHING = 0.25
+# Duration, s, over which the torques of a new model replace those of the old one.
+BLENDING = 1.0
+
+
+@dataclass(frozen=True)
+class ModelProposal:
+    """A controller with another model of the robot, which is not used yet.
+
+    Attributes
+    ----------
+    controller : BalanceController
+    torque_change : (A,) float64
+        By how much its torques differ from the present ones in the present state, Nm.
+    """
+
+    model: mujoco.MjModel
+    controller: BalanceController
+    torque_change: FloatArray
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """A reference motion elsewhere."""
+
+    motion: Reference
+    offset: FloatArray
+
+    @property
+    def duration(self) -> float:
+        return self.motion.duration
+
+    def at(self, time: float) -> FloatArray:
+        moved = np.array(self.motion.at(time))
+        moved[0] += self.offset
+        return moved
+
+
+@dataclass(frozen=True)
+class _Transition:
+    """The controller that takes over, and since when, s."""
+
+    controller: BalanceController
+    model: mujoco.MjModel
+    since: float
+
+    def share(self, time: float) -> float:
+        """Return the share of its torques, which grows without a jump of its rate."""
+        passed = min(max((time - self.since) / BLENDING, 0.0), 1.0)
+        return passed * passed * (3.0 - 2.0 * passed)
 
 
 class LegOdometry:
@@ -158,6 +210,9 @@ class StandingController:
         self._period = robot.period
         self._limits = robot.torque_limits
         self._robot, self._stamp = robot, 0
+        self._model = robot.model
+        self._state: State | None = None
+        self._transition: _Transition | None = None
         self._task = draw_standing_task(robot, moves, motion_seed, *STANDING[scenario])
         self.duration = self._task.duration
         self._restart()
@@ -165,8 +220,81 @@ class StandingController:
     def _restart(self) -> None:
         robot = self._robot
         self._odometry = LegOdometry(robot.model, robot.data.qpos, SOLES)
+        if self._transition is not None:
+            self._model, self._transition = self._transition.model, None
         # A new controller, as the QP of the old one would start from its last solution.
-        self._controller = BalanceController(robot.model, self._task, SOLES, BalanceGains())
+        self._controller = self._controller_of(self._model)
+        self._state = None
+
+    def _controller_of(self, model: mujoco.MjModel) -> BalanceController:
+        """Return a controller whose moves begin at the model's centre of mass in the initial pose.
+
+        Models differ by centimetres in where that is. With a common reference the robot would
+        stand elsewhere with each of them.
+        """
+        offset = self._initial_com(model) - self._initial_com(self._robot.model)
+        task = replace(self._task, com=_Moved(self._task.com, offset))
+        return BalanceController(model, task, SOLES, BalanceGains())
+
+    def _initial_com(self, model: mujoco.MjModel) -> FloatArray:
+        """Return a model's centre of mass (3,) in the initial pose, m."""
+        data = mujoco.MjData(model)
+        data.qpos[:] = self._robot.data.qpos
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        return np.array(data.subtree_com[model.jnt_bodyid[0]])
+
+    @property
+    def torque_limits(self) -> FloatArray:
+        """Largest torques (A,) of the drives, Nm."""
+        return np.asarray(np.abs(self._limits).min(axis=1))
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether one model is replacing another."""
+        return self._transition is not None
+
+    def propose(self, inertias: Mapping[str, FloatArray]) -> ModelProposal:
+        """Return a controller with other inertias, and how its torques differ now.
+
+        Parameters
+        ----------
+        inertias : mapping of str to (10,) float64
+            By link, as :func:`~symbid_ros.simulation.controller_model.replace_inertias` takes them.
+
+        Raises
+        ------
+        SimulationError
+            When a link does not exist or has no centre of mass.
+        RobotFailureError
+            When the new controller finds no torques.
+        """
+        model = replace_inertias(self._robot.model, inertias)
+        controller = self._controller_of(model)
+        change = np.zeros(len(self._limits))
+        if self._state is not None:
+            change = controller.torques(self._state) - self._controller.torques(self._state)
+        return ModelProposal(model, controller, change)
+
+    def adopt(self, proposal: ModelProposal) -> None:
+        """Let a proposed model replace the present one within :data:`BLENDING` seconds."""
+        self._transition = _Transition(proposal.controller, proposal.model, self._time)
+
+    def fall_back(self) -> None:
+        """Return to the model before, without a jump, if another one is replacing it."""
+        if self._transition is None:
+            return
+        new, passed = self._transition, self._time - self._transition.since
+        self._transition = _Transition(
+            self._controller, self._model, self._time - max(BLENDING - passed, 0.0)
+        )
+        self._controller, self._model = new.controller, new.model
+
+    @property
+    def _time(self) -> float:
+        """Time of the motion at the newest readings, s."""
+        # The motion's first instant is stamped with one period, as a stamp of 0 means "no time".
+        return 1e-9 * self._stamp - self._period
 
     def torques(self, readings: BalanceFeedback) -> FloatArray:
         """Return the drive torques (n_actuated,), Nm, for the readings of one instant.
@@ -179,8 +307,13 @@ class StandingController:
         if readings.stamp < self._stamp:
             self._restart()
         self._stamp = readings.stamp
-        # The motion's first instant is stamped with one period, as a stamp of 0 means "no time".
-        time = 1e-9 * readings.stamp - self._period
-        torques = self._controller.torques(self._odometry.state(time, readings))
+        self._state = state = self._odometry.state(self._time, readings)
+        torques = self._controller.torques(state)
+        if self._transition is not None:
+            share = self._transition.share(self._time)
+            torques = torques + share * (self._transition.controller.torques(state) - torques)
+            if share == 1.0:
+                self._controller, self._model = self._transition.controller, self._transition.model
+                self._transition = None
         # The QP exceeds the limits by up to its tolerance, which a plant may reject.
         return np.clip(torques, *self._limits.T)

@@ -1,0 +1,121 @@
+"""Whether a controller may take over an identified model of its robot."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.model.inertia import is_consistent
+
+# Share of the deviations of the last model to which those of mass or first moments must have
+# fallen. Models whose differences are within their noise would otherwise follow each other forever.
+FALLEN = 0.8
+
+
+@dataclass(frozen=True)
+class CandidateModel:
+    """An identified robot that a controller may use.
+
+    Attributes
+    ----------
+    links : tuple of str
+        Names of L links.
+    phi, std : (L, 10) float64
+        [m, m·c, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] of each link about its frame, SI units, and
+        standard deviations.
+    alarms : tuple of str
+        What speaks against the estimate.
+    """
+
+    links: tuple[str, ...]
+    phi: FloatArray
+    std: FloatArray
+    alarms: tuple[str, ...] = ()
+
+    @property
+    def uncertainty(self) -> FloatArray:
+        """Deviations (2,) of all masses, kg, and of all first moments, kg m, as root sum squares.
+
+        Balance and gravity torques depend on these.
+        """
+        masses, moments = self.std[:, 0], self.std[:, 1:4]
+        return np.sqrt([np.sum(masses**2), np.sum(moments**2)])
+
+
+class ModelGate:
+    """Accepts models that are possible, without alarm, near the last one and better known.
+
+    Parameters
+    ----------
+    largest_change : float
+        Largest change of a torque that a model may cause, as a share of the drive's limit.
+
+    Raises
+    ------
+    ValueError
+        When ``largest_change`` is not positive.
+    """
+
+    def __init__(self, largest_change: float = 0.25) -> None:
+        if not largest_change > 0:
+            raise ValueError(f"largest_change must be positive, got {largest_change}")
+        self._largest_change = largest_change
+        self._known = np.full(2, np.inf)
+
+    def is_news(self, candidate: CandidateModel) -> bool:
+        """Return whether a candidate is known clearly better than the last accepted model.
+
+        After an alarm every candidate is, because the robot may have changed, and so is one without
+        deviations, so that :meth:`refusal` says what is missing.
+        """
+        if candidate.alarms:
+            self._known = np.full(2, np.inf)
+        now = candidate.uncertainty
+        if not np.isfinite(now).all():
+            return True
+        return bool(np.all(now <= self._known) and np.any(now <= FALLEN * self._known))
+
+    def refusal(
+        self, candidate: CandidateModel, torque_change: FloatArray, torque_limit: FloatArray
+    ) -> str:
+        """Return why a model must not be used; empty if it may, and then it is the last one.
+
+        Parameters
+        ----------
+        candidate : CandidateModel
+        torque_change : (A,) float64
+            By how much the torques would differ from those of the model in use, in the present
+            state, Nm.
+        torque_limit : (A,) float64
+            Largest torques of the drives, Nm.
+        """
+        reason = self.fault(candidate) or self._jump(torque_change, torque_limit)
+        if not reason:
+            self._known = candidate.uncertainty
+        return reason
+
+    @staticmethod
+    def fault(candidate: CandidateModel) -> str:
+        """Return what is wrong with a model by itself; empty if nothing is."""
+        if candidate.alarms:
+            return f"alarm: {candidate.alarms[0]}"
+        if not (np.isfinite(candidate.phi).all() and np.isfinite(candidate.std).all()):
+            return "parameters or deviations are missing"
+        impossible = _impossible(candidate.links, candidate.phi)
+        return f"physically impossible: {', '.join(impossible)}" if impossible else ""
+
+    def _jump(self, change: FloatArray, limit: FloatArray) -> str:
+        share = np.abs(change) / limit
+        worst = int(np.argmax(share))
+        # Written so that NaN is refused too.
+        if not share[worst] <= self._largest_change:
+            return (
+                f"drive {worst + 1} would change by {change[worst]:.2g} Nm, more than "
+                f"{100 * self._largest_change:.0f} % of its {limit[worst]:.3g} Nm"
+            )
+        return ""
+
+
+def _impossible(links: Sequence[str], phi: FloatArray) -> list[str]:
+    return [link for link, each in zip(links, phi, strict=True) if not is_consistent(each)]
