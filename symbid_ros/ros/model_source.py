@@ -49,7 +49,8 @@ class ModelSource:
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._news: _News | None = None
         self._counts = {"accepted": 0, "refused": 0, "withdrawn": 0}
-        self._used, self._refusal = "", ""
+        # Which model is used, which one was used before, and why the newest one is not.
+        self._used = self._before = self._refusal = ""
         node.create_subscription(
             DiagnosticArray, f"{self._identifier}/estimate", self._on_estimate, latched_qos()
         )
@@ -63,13 +64,6 @@ class ModelSource:
         if news is None:
             return
         logger, controller = self._node.get_logger(), self._controller
-        if controller.is_changing:
-            if news.alarms:
-                controller.fall_back()
-                self._counts["withdrawn"] += 1
-                self._used = ""
-                logger.warning(f"the model is withdrawn: {news.alarms[0]}")
-            return
         links = news.estimate.links
         candidate = CandidateModel(
             tuple(link.name for link in links),
@@ -77,12 +71,21 @@ class ModelSource:
             np.array([link.std for link in links]),
             news.alarms,
         )
-        if not self._gate.is_news(candidate):
+        is_news = self._gate.is_news(candidate)
+        if controller.is_changing:
+            if news.alarms and self._used != self._before:
+                controller.fall_back()
+                self._counts["withdrawn"] += 1
+                self._used = self._before
+                logger.warning(f"the model is withdrawn: {news.alarms[0]}")
+            return
+        if not is_news:
             self._refusal = ""
             return
         reason = self._adopt(candidate)
         if not reason:
             self._counts["accepted"] += 1
+            self._before = self._used
             self._used = f"identified until {news.estimate.stamp * 1e-9:.3f} s"
             logger.info(f"model {self._used} replaces the present one")
         elif reason != self._refusal:

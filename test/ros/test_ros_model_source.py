@@ -74,14 +74,18 @@ class Identifier:
 
 
 class Watched:
-    """A controller in this process that stands still in time, and the source of its models."""
+    """A controller in this process, whose time goes on when asked, and the source of its models."""
 
     def __init__(self, graph) -> None:
         self._graph = graph
         self.controller = StandingController()
-        for instant in itertools.islice(Simulator(SimulateOptions()), 20):
-            self.controller.torques(instant)
+        self._instants = iter(Simulator(SimulateOptions()))
+        self.go_on(20)
         self.source = ModelSource(graph.node, self.controller, 0.1)
+
+    def go_on(self, steps: int) -> None:
+        for instant in itertools.islice(self._instants, steps):
+            self.controller.torques(instant)
 
     def expect(self, message: str, **counts: int) -> None:
         """Wait for a status."""
@@ -113,6 +117,11 @@ def test_models_are_accepted_refused_and_withdrawn(graph) -> None:
     # An alarm while it takes over.
     identifier.publish(0.9, 0.05, alarm="R_thigh has changed")
     watched.expect("model of the file", withdrawn=1)
+    # After an alarm the next model may be known worse.
+    watched.go_on(1100)
+    assert not watched.controller.is_changing
+    identifier.publish(0.9, 0.2)
+    watched.expect("identified until 6.000 s", accepted=2, withdrawn=1)
 
 
 def test_only_known_links_are_taken(graph) -> None:
