@@ -18,6 +18,7 @@ from symbid_ros.simulation.recording import record
 NAMES = [
     "BagError",
     "BaseMotion",
+    "CandidateModel",
     "DataError",
     "Diagnosis",
     "EstimateError",
@@ -31,6 +32,7 @@ NAMES = [
     "METHODS",
     "Metrics",
     "ModelError",
+    "ModelGate",
     "OptionError",
     "ParameterEstimate",
     "PriorError",
