@@ -8,16 +8,13 @@ fell with the file's inertias alone, and with identified ones, and how many of t
 """
 
 import argparse
-import json
-import os
-import signal
-import subprocess
-import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
@@ -25,9 +22,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
 
 TRUE = config_file("symbitron.xml")
-DOMAIN = 87  # of ROS, in which nothing else should run
 START = 3.0  # s until controller and identifier have started
-END = 30.0  # s until they have ended
 
 
 @dataclass(frozen=True)
@@ -47,46 +42,37 @@ def main() -> None:
     given = parser.parse_args()
     parameters = ParameterSet(load_model(TRUE))
     print("| prior | falls, file alone | falls, learning | models |\n|---|---|---|---|", flush=True)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, private_graph() as graph:
         for seed in given.seeds:
             wrong = parameters.apply(draw_prior(parameters, "percent", given.percent, seed).mean)
             model = Path(folder) / "wrong.xml"
             model.write_text(mjcf_text(wrong, TRUE))
-            alone, learning = (run(model, given.seconds, learns) for learns in (False, True))
+            alone, learning = (run(model, graph, given.seconds, learns) for learns in (False, True))
             print(
                 f"| {seed} | {alone.falls} | {learning.falls} | {learning.accepted} |", flush=True
             )
 
 
-def run(model: Path, seconds: float, learns: bool) -> Run:
-    """Let the robot stand and move."""
-    source = "identifier" if learns else "file"
-    controller = started("balance_controller", model=model, model_source=source)
-    identifier = started("identifier", model=model) if learns else None
-    time.sleep(START)
-    bridge = started("mujoco_bridge", command_source="topic")
-    time.sleep(seconds)
-    counts = json.loads(ended(bridge)[0])
-    report = ended(controller)[1]
-    if identifier is not None:
-        ended(identifier)
-    return Run(counts["commands"]["falls"], report.count("replaces the present one"))
+def run(model: Path, graph: dict[str, str], seconds: float, learns: bool) -> Run:
+    """Let the robot stand and move, and the controller learn or not."""
+    environment = graph | {"OMP_NUM_THREADS": "1"}
+    logs = model.parent
+    with ExitStack() as stack:
 
+        def started(name: str, **parameters: object) -> NodeProcess:
+            node = NodeProcess(name, parameters, environment, logs / f"{name}.log")
+            return stack.enter_context(node)
 
-def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
-    """End a node and return what it printed."""
-    process.send_signal(signal.SIGINT)
-    return process.communicate(timeout=END)
-
-
-def started(node: str, **parameters: object) -> subprocess.Popen[str]:
-    """Start a node in a domain of its own."""
-    words = [str(Path(sys.executable).parent / node), "--ros-args"]
-    for name, value in parameters.items():
-        words += ["-p", f"{name}:={value}"]
-    environment = os.environ | {"ROS_DOMAIN_ID": str(DOMAIN), "OMP_NUM_THREADS": "1"}
-    pipe = subprocess.PIPE
-    return subprocess.Popen(words, env=environment, stdout=pipe, stderr=pipe, text=True)
+        source = "identifier" if learns else "file"
+        controller = started("balance_controller", model=str(model), model_source=source)
+        if learns:
+            started("identifier", model=str(model))
+        time.sleep(START)
+        bridge = started("mujoco_bridge", command_source="topic")
+        time.sleep(seconds)
+        falls = bridge.finish(stop=True)["commands"]["falls"]
+        controller.finish(stop=True)
+    return Run(falls, controller.log.read_text().count("replaces the present one"))
 
 
 if __name__ == "__main__":

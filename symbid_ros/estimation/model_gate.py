@@ -1,11 +1,11 @@
 """Whether a controller may take over an identified model of its robot."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import DataError, OptionError
 from symbid_ros.model.inertia import is_consistent
 
 # Share of the deviations of the last model to which those of mass or first moments must have
@@ -26,12 +26,28 @@ class CandidateModel:
         standard deviations.
     alarms : tuple of str
         What speaks against the estimate.
+
+    Raises
+    ------
+    DataError
+        When an array has another shape.
     """
 
     links: tuple[str, ...]
     phi: FloatArray
     std: FloatArray
     alarms: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        expected = (len(self.links), 10)
+        for name in ("phi", "std"):
+            shape = np.shape(getattr(self, name))
+            if shape != expected:
+                raise DataError(
+                    f"candidate model: {name} has shape {shape}, expected {expected}: ten "
+                    "parameters of each link",
+                    "E511",
+                )
 
     @property
     def uncertainty(self) -> FloatArray:
@@ -44,7 +60,7 @@ class CandidateModel:
 
 
 class ModelGate:
-    """Accepts models that are possible, without alarm, near the last one and better known.
+    """Accepts models that are possible, have no alarm, change torques little and are more certain.
 
     Parameters
     ----------
@@ -53,21 +69,22 @@ class ModelGate:
 
     Raises
     ------
-    ValueError
+    OptionError
         When ``largest_change`` is not positive.
     """
 
     def __init__(self, largest_change: float = 0.25) -> None:
         if not largest_change > 0:
-            raise ValueError(f"largest_change must be positive, got {largest_change}")
+            raise OptionError(f"`largest_change` must be positive, got {largest_change}", "E501")
         self._largest_change = largest_change
         self._known = np.full(2, np.inf)
 
     def is_news(self, candidate: CandidateModel) -> bool:
-        """Return whether a candidate is known clearly better than the last accepted model.
+        """Return whether a candidate is clearly more certain than the last accepted model.
 
-        After an alarm every candidate is, because the robot may have changed, and so is one without
-        deviations, so that :meth:`refusal` says what is missing.
+        An alarm makes the gate forget that model, because the robot may have changed: the next
+        candidate need not be more certain. A candidate without deviations counts as news, so that
+        :meth:`refusal` says what is missing.
         """
         if candidate.alarms:
             self._known = np.full(2, np.inf)
@@ -79,7 +96,7 @@ class ModelGate:
     def refusal(
         self, candidate: CandidateModel, torque_change: FloatArray, torque_limit: FloatArray
     ) -> str:
-        """Return why a model must not be used; empty if it may, and then it is the last one.
+        """Return why a model must not be used, or an empty string, which accepts it.
 
         Parameters
         ----------
@@ -97,12 +114,16 @@ class ModelGate:
 
     @staticmethod
     def fault(candidate: CandidateModel) -> str:
-        """Return what is wrong with a model by itself; empty if nothing is."""
+        """Return why no controller should use a model, or an empty string."""
         if candidate.alarms:
             return f"alarm: {candidate.alarms[0]}"
         if not (np.isfinite(candidate.phi).all() and np.isfinite(candidate.std).all()):
             return "parameters or deviations are missing"
-        impossible = _impossible(candidate.links, candidate.phi)
+        impossible = [
+            link
+            for link, phi in zip(candidate.links, candidate.phi, strict=True)
+            if not is_consistent(phi)
+        ]
         return f"physically impossible: {', '.join(impossible)}" if impossible else ""
 
     def _jump(self, change: FloatArray, limit: FloatArray) -> str:
@@ -115,7 +136,3 @@ class ModelGate:
                 f"{100 * self._largest_change:.0f} % of its {limit[worst]:.3g} Nm"
             )
         return ""
-
-
-def _impossible(links: Sequence[str], phi: FloatArray) -> list[str]:
-    return [link for link, each in zip(links, phi, strict=True) if not is_consistent(each)]

@@ -61,7 +61,7 @@ class ModelSource:
     def update(self) -> None:
         """Judge the newest model, if there is one."""
         news, self._news = self._news, None
-        if news is None:
+        if news is None or not news.estimate.links:
             return
         logger, controller = self._node.get_logger(), self._controller
         links = news.estimate.links

@@ -34,9 +34,12 @@ class ModelProposal:
 
     Attributes
     ----------
+    model : mujoco.MjModel
     controller : BalanceController
+        With that model.
     torque_change : (A,) float64
-        By how much its torques differ from the present ones in the present state, Nm.
+        By how much its torques differ from the present ones in the present state, Nm; zero before
+        the first readings.
     """
 
     model: mujoco.MjModel

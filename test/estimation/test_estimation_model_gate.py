@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from random_robots import random_robot
 
+from symbid_ros.errors import DataError, OptionError
 from symbid_ros.estimation.model_gate import CandidateModel, ModelGate
 
 LIMITS = np.array([100.0, 40.0])
@@ -85,5 +86,10 @@ def test_torques_must_not_jump(candidate, change):
 
 @pytest.mark.parametrize("share", [0.0, -1.0, np.nan])
 def test_a_limit_without_meaning_raises_an_error(share):
-    with pytest.raises(ValueError, match="largest_change"):
+    with pytest.raises(OptionError, match="largest_change"):
         ModelGate(share)
+
+
+def test_arrays_of_another_shape_raise_an_error(candidate):
+    with pytest.raises(DataError, match=r"std has shape \(4, 9\), expected \(4, 10\)"):
+        replace(candidate, std=candidate.std[:, :9])

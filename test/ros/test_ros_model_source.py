@@ -35,12 +35,13 @@ class Identifier:
             DiagnosticArray, "/identifier/estimate", latched_qos()
         )
         self._diagnostics = graph.node.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        graph.wait_until(
-            lambda: self._estimate.get_subscription_count() and self._diagnostics_are_heard()
-        )
+        publishers = self._estimate, self._diagnostics
+        graph.wait_until(lambda: all(each.get_subscription_count() for each in publishers))
 
-    def _diagnostics_are_heard(self) -> bool:
-        return self._diagnostics.get_subscription_count() > 0
+    def publish_nothing(self) -> None:
+        """Publish an estimate without links, which another program may do under the same name."""
+        self._estimate.publish(DiagnosticArray())
+        self._publish_status()
 
     def publish(self, factor: float, std: float, alarm: str = "", impossible: str = "") -> None:
         """Publish an estimate of the true robot times a factor, and then the status."""
@@ -68,6 +69,9 @@ class Identifier:
         )
         self._stamp += 1
         self._estimate.publish(estimate_message(estimate, Time(sec=self._stamp)))
+        self._publish_status(alarm)
+
+    def _publish_status(self, alarm: str = "") -> None:
         level = DiagnosticStatus.WARN if alarm else DiagnosticStatus.OK
         status = DiagnosticStatus(name="/identifier: estimate", level=level, message=alarm)
         self._diagnostics.publish(DiagnosticArray(status=[status]))
@@ -122,6 +126,16 @@ def test_models_are_accepted_refused_and_withdrawn(graph) -> None:
     assert not watched.controller.is_changing
     identifier.publish(0.9, 0.2)
     watched.expect("identified until 6.000 s", accepted=2, withdrawn=1)
+
+
+def test_estimates_without_links_are_ignored(graph) -> None:
+    watched, statuses = Watched(graph), StatusProbe(graph)
+    identifier = Identifier(graph)
+    identifier.publish_nothing()
+    graph.wait_until(lambda: statuses.received)
+    watched.source.update()
+    identifier.publish(0.9, 0.1)
+    watched.expect("identified until 1.000 s", accepted=1, refused=0)
 
 
 def test_only_known_links_are_taken(graph) -> None:
