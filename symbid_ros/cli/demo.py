@@ -202,7 +202,7 @@ def _identify_offline(
     progress.advance(task)
     by_windows = BagRequest((out / "bag",), model, options).load()
     progress.advance(task)
-    chosen = identify_with_holdout(by_windows)
+    _, chosen = identify_with_holdout(by_windows)
     found: dict[str, tuple[str, Identification]] = {
         METHOD_TITLES[method]: (method, by_thesis.solve(method)) for method in METHODS
     }

@@ -106,7 +106,7 @@ def identify(
     if dask is None:
         with progress_shown():
             problem = request.load(out)
-            found = identify_with_holdout(problem)
+            problem, found = identify_with_holdout(problem)
     else:
         from symbid_ros.cluster.connection import connected
         from symbid_ros.cluster.log_job import ClusterRequest
@@ -116,7 +116,8 @@ def identify(
             distributed = ClusterRequest(tuple(map(bag_location, bags)), request)
             with progress_shown():
                 problem = distributed.load(cluster, out)
-                found = distributed.attributed(cluster, identify_with_holdout(problem))
+                problem, found = identify_with_holdout(problem)
+                found = distributed.attributed(cluster, found)
     found = request.attributed(found, command_line(), () if robot is None else (robot,))
     kinematics = problem.options.export_kinematics
     write_identification(found, problem.parameters, out, kinematics=kinematics)

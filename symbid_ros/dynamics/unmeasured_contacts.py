@@ -75,6 +75,19 @@ def with_contacts(model: RobotModel, contacts: Sequence[str]) -> RobotModel:
     return replace(model, contacts=found)
 
 
+def with_all_rows(model: RobotModel) -> RobotModel:
+    """Return a robot whose rows without contact wrenches are those of every coordinate.
+
+    They are d P τ instead of d E P τ: dependent rows, but that of a joint is the part of its effort
+    that no contact wrench can balance, for comparisons of predicted with measured efforts.
+    """
+    if model.contacts is None:
+        return model
+    coordinates = _own_coordinates(model)
+    found = replace(model.contacts, coordinates=coordinates, has_all_rows=True, by_state={})
+    return replace(model, contacts=found)
+
+
 def contacts_of_state(model: RobotModel, touching: tuple[bool, ...]) -> Contacts:
     """Return the contacts of a robot of which only some touch anything."""
     contacts = model.contacts
@@ -86,7 +99,10 @@ def contacts_of_state(model: RobotModel, touching: tuple[bool, ...]) -> Contacts
             tuple(name for name, touches in zip(each, touching, strict=True) if touches)
             for each in (contacts.names, contacts.frames)
         )
-        contacts.by_state[touching] = _eliminated(model, names, frames, contacts.coordinates)
+        found = _eliminated(model, names, frames, contacts.coordinates)
+        if contacts.has_all_rows:
+            found = replace(found, coordinates=contacts.coordinates, has_all_rows=True)
+        contacts.by_state[touching] = found
     return contacts.by_state[touching]
 
 
@@ -101,8 +117,7 @@ def _eliminated(
     Coordinates ``kept`` are among those whose rows remain, so that the rows of a coordinate have
     the same meaning, as far as possible, whichever frames touch something.
     """
-    first = 6 * model.floating
-    own = [first + joint for joint in range(len(model.joints)) if joint not in model.followers]
+    first, own = 6 * model.floating, _own_coordinates(model)
     loads = np.zeros((len(frames), model.dof), dtype=bool)
     loads[:, :first] = True
     loads[:, first:] = model.ancestors[:, [model.frame(name).link for name in frames]].T
@@ -112,8 +127,7 @@ def _eliminated(
         start = 3 if name.partition(":")[2] == POINT else 0
         possible += range(6 * index + start, 6 * index + 6)
     if not possible:
-        coordinates = np.array([*range(first), *own], dtype=np.int64)
-        return Contacts(names, frames, np.zeros(0, dtype=np.int64), 0.0, coordinates, loads)
+        return Contacts(names, frames, np.zeros(0, dtype=np.int64), 0.0, own, loads)
     J = contact_jacobian(model, frames, link_poses(model, _postures(model)))
     _, R, order = qr(J[0][np.array(possible)].T, mode="economic", pivoting=True)
     size = np.abs(R.diagonal())
@@ -125,11 +139,18 @@ def _eliminated(
     projections = annihilator(J[:, components], damping, np.eye(model.dof)).mean(axis=0)
     projections[:, :first] *= PREFERENCE
     projections[:, [first + joint for joint in model.followers]] = 0.0
-    free = np.array([place for place in (*range(first), *own) if is_free[place]], dtype=np.int64)
+    free = own[is_free[own]]
     before = np.zeros(0, dtype=np.int64) if kept is None else np.setdiff1d(kept, free)
     others = np.setdiff1d(np.arange(model.dof), [*free, *before])
     chosen = _independent(projections, (free, before, others), left)
     return Contacts(names, frames, components, damping, chosen, loads)
+
+
+def _own_coordinates(model: RobotModel) -> IntArray:
+    """Return the coordinates of the base and of joints that do not follow others."""
+    followers = 6 * model.floating + np.array(sorted(model.followers), dtype=np.int64)
+    own: IntArray = np.setdiff1d(np.arange(model.dof), followers)
+    return own
 
 
 def _independent(projections: FloatArray, groups: Sequence[IntArray], count: int) -> IntArray:

@@ -55,11 +55,11 @@ def identify(
         raise OptionError("give either options or single fields, not both", "E502")
     options = options or _options(IdentifyOptions, fields)
     if isinstance(log, LogInformation):
-        problem: LoadedProblem = load_information(robot, log.observations, options)
+        problem = load_information(robot, log.observations, options)
         found = problem.with_provenance(problem.solve())
     else:
         problem = load_problem(robot, log, options)
-        found = identify_with_holdout(problem)
+        problem, found = identify_with_holdout(problem)
     return Result(found.estimate, options, found, problem.parameters)
 
 

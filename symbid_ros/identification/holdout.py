@@ -11,6 +11,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.dataset import Processing, fold_dataset
+from symbid_ros.identification.force_errors import RELEVANT
 from symbid_ros.identification.likely_cause import explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
@@ -36,13 +37,27 @@ REST = 0.01
 # Share of states that occurred before, from which a motion repeats.
 REPEATED = 0.9
 MOST_STATES = 20_000
+# Verdicts with which the stated prior is tried.
+NOT_BETTER = "worse", "mixed", "unfit"
+PRIOR_KEPT = (
+    "the prior is kept at ±25 % (keep_prior): with the one that the data ask for, the trial erred "
+    "more, {}"
+)
 
 
-def identify_with_holdout(problem: LoadedProblem) -> Identification:
+def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identification]:
     """Identify a log; a trial without its last quarter shows how well that is predicted.
 
     The trial chooses joint terms, prior scale and sensor errors from the earlier part alone. It
-    uses the window length of the whole log.
+    uses the window length of the whole log. If the identified robot predicts the last quarter worse
+    than the model file, and better with the stated prior, that prior is kept: where the equation of
+    motion is wrong, the data would widen it without bound.
+
+    Returns
+    -------
+    LoadedProblem
+        The problem that was solved: the given one, or the same with the stated prior.
+    Identification
 
     Raises
     ------
@@ -50,22 +65,40 @@ def identify_with_holdout(problem: LoadedProblem) -> Identification:
         When the log cannot be identified.
     """
     report("solving")
-    found = problem.with_provenance(explained(problem, problem.solve()))
+    found = problem.solve()
     log = coverage(problem)
     checked, forces = None, None
     if not problem.options.no_holdout:
         report("holding out the end of the log")
         try:
             checked, forces = _hold_out(problem, found.window, log.begin)
+            if checked.advice in NOT_BETTER and problem.options.is_empirical:
+                kept = problem.with_prior(problem.prior, replace(problem.options, keep_prior=True))
+                solved = kept.solve()
+                again, predicted = _hold_out(kept, solved.window, log.begin)
+                if RELEVANT * _error(again) < _error(checked):
+                    found = _remarked(solved, PRIOR_KEPT.format(checked.summary))
+                    problem, checked, forces = kept, again, predicted
         except SymbidError as error:
             checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {error}")
+    found = problem.with_provenance(explained(problem, found))
     if forces is None:
         forces = _predict_end(problem, found, log.begin)
-    return replace(
+    found = replace(
         found,
         estimate=replace(found.estimate, holdout=checked),
         report=report_data(problem, found, forces, log),
     )
+    return problem, found
+
+
+def _remarked(found: Identification, remark: str) -> Identification:
+    remarks = (*found.estimate.remarks, remark)
+    return replace(found, estimate=replace(found.estimate, remarks=remarks))
+
+
+def _error(checked: HoldOut) -> float:
+    return np.inf if checked.percent_after is None else checked.percent_after
 
 
 def check_holdout(problem: LoadedProblem, window: float) -> HoldOut:

@@ -87,6 +87,12 @@ class IdentifyOptions(ContactOptions):
         minimum=0.0,
         group=KNOWN,
     )
+    keep_prior: bool = option(
+        False,
+        "Trust the model's values to ±25 %, as stated, whatever the data say. By default the data "
+        "decide, unless the held-out end of the log is predicted worse that way.",
+        group=KNOWN,
+    )
     total_mass: float | None = option(
         None, "Weighed mass of the whole robot.", unit="kg", minimum=0.0, group=KNOWN
     )
@@ -274,9 +280,10 @@ class IdentifyOptions(ContactOptions):
         self._check_sensor_errors()
         self._check_contacts()
         sources = self.prior, self.prior_percent, self.prior_absolute
-        if sum(source is not None for source in sources) > 1:
+        if sum(source is not None for source in sources) + self.keep_prior > 1:
             raise OptionError(
-                "give only one of `prior`, `prior_percent` and `prior_absolute`", "E502"
+                "give only one of `prior`, `prior_percent`, `prior_absolute` and `keep_prior`",
+                "E502",
             )
         if self.total_mass_std is not None and self.total_mass is None:
             raise OptionError(
@@ -512,7 +519,8 @@ class IdentifyOptions(ContactOptions):
     @property
     def is_empirical(self) -> bool:
         """Whether the evidence sets the scale of the prior."""
-        return self.prior is None and self.prior_percent is None and self.prior_absolute is None
+        sources = self.prior, self.prior_percent, self.prior_absolute
+        return not self.keep_prior and all(source is None for source in sources)
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -10,7 +10,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import Base
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.unmeasured_contacts import with_contacts, without_contacts
+from symbid_ros.dynamics.unmeasured_contacts import with_all_rows, with_contacts, without_contacts
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings, load_estimate
@@ -72,7 +72,7 @@ class ForcePredictor:
     name : str
         Name of the result.
     parameters : ParameterSet
-        The robot's p parameters.
+        The robot's p parameters. With unmeasured contacts, the rows of all its coordinates remain.
     estimate : Estimate
         Parameters in the order of the columns.
     sensor_names : tuple of str
@@ -106,6 +106,7 @@ class ForcePredictor:
     def of(cls, found: Identification, parameters: ParameterSet) -> "ForcePredictor":
         """Return the predictor of an identification."""
         estimate, calibration = found.estimate, found.calibration
+        parameters = replace(parameters, model=with_all_rows(parameters.model))
         return cls(
             name="result",
             parameters=parameters,
@@ -130,7 +131,7 @@ class ForcePredictor:
         """
         saved = load_estimate(folder / "estimate.json")
         found = load_estimated_model(folder, load_result_robot(folder, saved))
-        model = with_contacts(found.parameters.model, saved.contacts)
+        model = with_all_rows(with_contacts(found.parameters.model, saved.contacts))
         found = replace(found, parameters=replace(found.parameters, model=model))
         estimate = found.estimate
         if estimate is None:

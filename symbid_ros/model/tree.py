@@ -144,6 +144,8 @@ class Contacts:
         ε, in units of the contact Jacobian.
     coordinates : (n - r,) int64
         Coordinates whose rows remain.
+    has_all_rows : bool
+        Whether dependent rows remain too, those of every coordinate.
     loads : (F, n) bool
         Coordinates on which each contact acts.
     by_state : dict of tuple of bool to Contacts
@@ -156,6 +158,7 @@ class Contacts:
     damping: float
     coordinates: IntArray
     loads: BoolArray
+    has_all_rows: bool = False
     by_state: "dict[tuple[bool, ...], Contacts]" = field(
         default_factory=dict, repr=False, compare=False
     )

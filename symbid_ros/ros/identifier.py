@@ -103,8 +103,8 @@ def identify_bags(node: Node, values: dict[str, Any], stop: Event) -> None:
     out = given_path(values["out"])
     with interruptible(stop):  # long bags take minutes
         request = BagRequest(bags, model, identify_options(values), log_options(values), base)
-        problem = request.load(out)
-        found = request.attributed(identify_with_holdout(problem), command_line())
+        problem, found = identify_with_holdout(request.load(out))
+        found = request.attributed(found, command_line())
     estimate = found.estimate
     if out is not None:
         kinematics = problem.options.export_kinematics

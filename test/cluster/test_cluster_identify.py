@@ -56,7 +56,7 @@ def request_of_all(bags) -> BagRequest:
 @pytest.fixture(scope="module")
 def alone(request_of_all):
     """Return the identification by one process."""
-    return identify_with_holdout(request_of_all.load())
+    return identify_with_holdout(request_of_all.load())[1]
 
 
 def assert_equal(found, expected) -> None:

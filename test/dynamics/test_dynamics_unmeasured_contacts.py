@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from quadruped_log import FEET, quadruped_urdf
 
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.dynamics.unmeasured_contacts import with_contacts
+from symbid_ros.dynamics.unmeasured_contacts import with_all_rows, with_contacts
 from symbid_ros.errors import ModelError
 from symbid_ros.estimation.information import random_motions
 from symbid_ros.model.load import load_model
@@ -45,6 +47,27 @@ def test_no_wrench_at_a_contact_enters_the_rows(quadruped, contacts):
     left = model.contacts.coordinates
     assert len(left) >= model.dof - components
     assert np.linalg.matrix_rank(without.K[:, left].reshape(len(left) * 30, -1)) > len(left)
+
+
+@pytest.mark.parametrize("flagged", [False, True])
+def test_all_rows_are_the_parts_that_no_wrench_balances(quadruped, flagged):
+    """They are projections: nothing changes if they are projected again, but by the damping."""
+    model = with_contacts(quadruped, POINTS)
+    every = with_all_rows(model)
+    motion = random_motions(quadruped, 20)
+    touching = np.ones((20, 4), dtype=bool)
+    if flagged:
+        touching[10:, 2:] = False
+        motion = replace(motion, touching=touching)
+    few, all_ = (equation_of_motion(ParameterSet(one), motion).K for one in (model, every))
+    kept = model.contacts.coordinates
+    np.testing.assert_allclose(all_[:, kept], few[:, kept], atol=1e-12 * np.abs(few).max())
+    whole = equation_of_motion(ParameterSet(quadruped), replace(motion, touching=None)).K
+    J = contact_jacobian(quadruped, FEET, link_poses(quadruped, motion.position))
+    for index in range(20):
+        forces = [6 * foot + axis for foot in np.flatnonzero(touching[index]) for axis in (3, 4, 5)]
+        P = np.eye(quadruped.dof) - np.linalg.pinv(J[index, forces]) @ J[index, forces]
+        np.testing.assert_allclose(all_[index], P @ whole[index], atol=1e-3 * np.abs(whole).max())
 
 
 def test_a_missing_effort_or_a_sticking_joint_spoils_only_combinations_that_contain_it(quadruped):

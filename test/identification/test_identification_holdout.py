@@ -128,6 +128,26 @@ def test_joints_at_rest_do_not_make_a_motion_new() -> None:
     assert repeated_share([segment(both[:10])], [segment(both)]) == 0.0
 
 
+def test_the_stated_prior_is_kept_where_that_predicts_better(robot) -> None:
+    """Torques that the model lacks, in the earlier part alone, widen the prior without bound."""
+    log = random_streams(robot, LogPlan(RATE, 4000), 4)
+    position, effort = log.joints.position, log.joints.effort.copy()
+    angle = 4 * position + np.roll(2 * position, 1, axis=1) + np.arange(position.shape[1])
+    effort[:3000] += 3.0 * effort.std(axis=0) * np.sin(angle[:3000])
+    log = sy.Log.from_streams(replace(log, joints=replace(log.joints, effort=effort)))
+    found = identified(robot, log)
+    assert found.estimate.provenance.options["keep_prior"]
+    (remark,) = [one for one in found.estimate.remarks if "keep_prior" in one]
+    widened, kept = found.estimate.holdout, identified(robot, log, keep_prior=True).estimate
+    assert widened == kept.holdout
+    np.testing.assert_array_equal(found.estimate.value, kept.value)
+    assert f"→ {kept.holdout.percent_after:.3g} %" not in remark  # that of the wider prior
+    # Without the check, the data decide.
+    unchecked = identified(robot, log, no_holdout=True).estimate
+    assert unchecked.verdict.is_prior_scaled
+    assert not kept.verdict.is_prior_scaled
+
+
 def test_the_check_equals_a_validation_of_the_earlier_part(robot, wrong, result) -> None:
     """It is done as by hand: identify three quarters, validate on the rest."""
     holdout = result.estimate.holdout
