@@ -17,7 +17,7 @@ from symbid_ros.errors import DataError, OptionError
 from symbid_ros.identification.contact_options import ContactOptions
 from symbid_ros.identification.contacts import with_contact_options
 from symbid_ros.identification.holdout import identify_with_holdout
-from symbid_ros.identification.loaded_problem import LoadedProblem, load_information, load_problem
+from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result import LogInformation, Result
 from symbid_ros.model.parameters import ParameterSet
