@@ -13,7 +13,9 @@ the package can be named by its file, or by folder/file.
 - prior, default, by hand: RMS error of the torque on another motion, relative to the torque's RMS,
   while a joint moves faster than 0.05 rad/s, where Coulomb friction is defined. By hand: the terms
   that the robot has are named
-- expected: the error that the standard deviations of `by hand` imply, what noise and prior allow
+- expected: the error that the standard deviations of `by hand` imply
+- bound: the error of the best estimator in the mean, if it knew motion and noise exactly (Bayesian
+  Cramér-Rao bound), so that only efforts and forces were noisy
 - ratio: of the prior's error to the default's
 - covered: share of determined parameters, joint terms included, inside their 90 % interval
 - geometry: mean square of errors of joint placements over their deviations
@@ -39,7 +41,7 @@ from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.prior import default_prior, draw_prior
 from symbid_ros.identification.intervals import HALF_WIDTH
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_errors import CalibratingRows, SensorErrors
@@ -85,6 +87,7 @@ class Trial:
     default: float
     by_hand: float
     expected: float
+    bound: float
     errors: FloatArray
     alarms: tuple[str, ...]
     geometry: float = np.nan
@@ -104,8 +107,8 @@ def main() -> None:
     geometry = KINEMATIC_ERRORS if given.kinematics else ()
     setup = Setup(given.seconds, given.rate, given.effort_noise / 100, geometry)
     logging.disable(logging.WARNING)
-    columns = "robot", "friction", "prior %", "default %", "by hand %", "expected %", "ratio"
-    columns = *columns, "covered", "geometry", "alarms"
+    columns = "robot", "friction", "prior %", "default %", "by hand %", "expected %", "bound %"
+    columns = *columns, "ratio", "covered", "geometry", "alarms"
     print(f"| {' | '.join(columns)} |")
     print(len(columns) * "|---" + "|", flush=True)
     with threadpool_limits(1):
@@ -120,9 +123,9 @@ def main() -> None:
 
 def table_row(name: str, friction: str, trials: list[Trial]) -> str:
     """Return the geometric means of the errors, and pooled coverage."""
-    prior, default, by_hand, expected = (
+    prior, default, by_hand, expected, bound = (
         float(np.exp(np.mean([np.log(getattr(one, field)) for one in trials])))
-        for field in ("prior", "default", "by_hand", "expected")
+        for field in ("prior", "default", "by_hand", "expected", "bound")
     )
     errors = np.concatenate([one.errors for one in trials])
     geometry = np.mean([one.geometry for one in trials])
@@ -131,7 +134,7 @@ def table_row(name: str, friction: str, trials: list[Trial]) -> str:
     judged = f"{prior / default:.0f} | {covered:.2f} | {geometry:.2f}"
     return (
         f"| {name} | {friction} | {100 * prior:.2g} | {100 * default:.2g} | {100 * by_hand:.2g} | "
-        f"{100 * expected:.2g} | {judged} | {alarms} |"
+        f"{100 * expected:.2g} | {100 * bound:.2g} | {judged} | {alarms} |"
     )
 
 
@@ -146,7 +149,9 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
     size = np.sqrt(np.mean(torque(plain(robot), motion) ** 2, axis=0))
     size = np.maximum(size, 0.05 * size.max())
     truth = with_friction(robot, friction.startswith("present"), size, rng)
-    log = record(truth, motion, size, rng, setup.effort_noise)
+    limits = np.array([joint.effort for joint in truth.joints])
+    noise = setup.effort_noise * np.minimum(limits, LARGEST * size)
+    log = record(truth, motion, rng, noise)
     model = inaccurate(truth, friction.endswith("stated"), size, seed, rng)
     model = with_placements(model, stated)
     terms = "viscous,coulomb,armature" if friction.startswith("present") else "none"
@@ -167,6 +172,7 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
         error(predicted(found, other)),
         error(predicted(by_hand, other)),
         float(np.sqrt(np.mean(variance(by_hand, other)[slips])) / scale),
+        float(np.sqrt(np.mean(least_variance(truth, motion, other, noise)[slips])) / scale),
         scores(found, truth),
         found.alarms,
         placement_square(found, theta),
@@ -338,14 +344,11 @@ def torque(robot: sy.RobotModel, motion: Samples) -> FloatArray:
 def record(
     truth: sy.RobotModel,
     motion: Samples,
-    size: FloatArray,
     rng: np.random.Generator,
-    effort_noise: float = EFFORT,
+    noise: FloatArray,
 ) -> sy.Log:
-    """Return the noisy log of a motion of the true robot."""
+    """Return the log of a motion of the true robot; noise of efforts (J,) in Nm."""
     efforts = torque(truth, motion)
-    limits = np.array([joint.effort for joint in truth.joints])
-    noise = effort_noise * np.minimum(limits, LARGEST * size)
     imus, wrenches = {}, {}
     if truth.floating:
         read = np.hstack([motion.base_angular_velocity, motion.base_specific_force])
@@ -392,6 +395,47 @@ def variance(found: sy.Result, motion: Samples) -> FloatArray:
     assert factor is not None
     K = equation_of_motion(placed(found), motion).K[:, -motion.position.shape[1] :]
     return np.sum((K @ factor) ** 2, axis=2)
+
+
+def least_variance(
+    truth: sy.RobotModel, motion: Samples, other: Samples, noise: FloatArray
+) -> FloatArray:
+    """Return the least mean variances (N, J) of the torques of another motion.
+
+    The log's motion is known; efforts have the noise (J,), the feet's wrenches theirs.
+    """
+    links = ParameterSet(plain(truth))
+    L = default_prior(links).covariance_factor()
+    has_friction = any(joint.damping for joint in truth.joints)
+    first = 6 * truth.floating
+
+    def columns(each: Samples) -> FloatArray:
+        K = equation_of_motion(links, each).K @ L
+        if not has_friction:
+            return K
+        factors = each.velocity, np.sign(each.velocity), each.acceleration
+        terms = np.zeros((*K.shape[:2], 3 * len(noise)))
+        for number, factor in enumerate(factors):
+            for joint in range(len(noise)):
+                terms[:, first + joint, number * len(noise) + joint] = factor[:, joint]
+        return np.concatenate([K, terms], axis=2)
+
+    covariance = np.zeros((len(motion), truth.dof, truth.dof))
+    covariance[:, first:, first:] = np.diag(noise**2)
+    if motion.wrench_frames:
+        jacobian = contact_jacobian(truth, motion.wrench_frames, link_poses(truth, motion.position))
+        held = carrying_components(motion.wrench_frames)
+        deviation = FORCE * 9.81 * truth.phi[:, 0].sum() * np.where(np.mod(held, 6) < 3, LEVER, 1.0)
+        shares = jacobian[:, held] * deviation[:, None]
+        covariance += shares.transpose(0, 2, 1) @ shares
+    rows = np.linalg.solve(np.linalg.cholesky(covariance), columns(motion))
+    rows = rows.reshape(-1, rows.shape[2])
+    precision = rows.T @ rows
+    # Friction and armature are known from the log alone.
+    count = L.shape[1]
+    precision[range(count), range(count)] += 1.0
+    factor = np.linalg.inv(np.linalg.cholesky(precision)).T
+    return np.sum((columns(other)[:, first:] @ factor) ** 2, axis=2)
 
 
 def scores(found: sy.Result, truth: sy.RobotModel) -> FloatArray:

@@ -36,7 +36,8 @@ def validate(
     """Compare an identified robot with a log that was not used; no truth is needed.
 
     Torques of the original and of the identified model are predicted from the measured motion,
-    and compared with the measured ones.
+    and compared with the measured ones. The bag is read like that of the identification, with the
+    same topics, names and units, unless flags or a robot file say otherwise.
 
     Exit status: 0 better than the original model, 1 not better, 2 error.
     """
@@ -50,7 +51,7 @@ def validate(
             f"{predictions}: exists; choose another --predictions, or remove it", "E551"
         )
     with progress_shown():
-        found = judge(result, load_bag(bag, options=log))
+        found = judge(result, load_bag(bag, options=as_identified(log, [result])))
     if predictions is not None:
         write_predictions(found.efforts, predictions)
     if as_json:
@@ -74,15 +75,39 @@ def compare(
     """Rank identifications of one robot by their error on a log that none of them used.
 
     All are judged on the same rows: windows of the longest length among them, where the equation
-    of motion holds for each.
+    of motion holds for each. The bag is read like those of the identifications, as far as these
+    agree.
     """
     from symbid_ros.cli.tables import print_comparison
     from symbid_ros.identification.validation import compare as rank
     from symbid_ros.offline.bags import load_bag
 
     with progress_shown():
-        found = rank(results, load_bag(bag, options=log))
+        found = rank(results, load_bag(bag, options=as_identified(log, results)))
     if as_json:
         typer.echo(json.dumps(found.document(), indent=1))
     else:
         print_comparison(found)
+
+
+def as_identified(log: LogOptions, results: list[Path]) -> LogOptions:
+    """Return options of a log with those of identifications where none are given.
+
+    Only options on which all results agree are taken from them.
+
+    Raises
+    ------
+    SymbidError
+        When a result is missing or malformed.
+    """
+    from symbid_ros.estimation.estimate import load_estimate
+
+    found = [load_estimate(folder / "estimate.json").provenance for folder in results]
+    recorded = [{} if one is None else one.options for one in found]
+    first, *others = recorded
+    shared = {
+        name: value
+        for name, value in first.items()
+        if all(name in other and other[name] == value for other in others)
+    }
+    return log.of_same_robot(shared)

@@ -1,13 +1,16 @@
 """Options that select topics and a part of a recording, and say how they relate to the model."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 from symbid_ros.errors import OptionError
-from symbid_ros.options import check_values, option
+from symbid_ros.options import check_values, option, options_of
 
 GROUP = "Topics and time"
 MAPPING = "How the log differs from the model"
+PART = {"start", "stop"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +124,21 @@ class LogOptions:
                 f"`stop` {self.stop:g} s is not after `start` {self.start:g} s; give a later one",
                 "E502",
             )
+
+    def of_same_robot(self, others: Mapping[str, Any]) -> "LogOptions":
+        """Return the options with those of another log of the same robot where none are given.
+
+        Parameters
+        ----------
+        others : mapping of str to object
+            Values of options by name; those of the part of the log are not used.
+        """
+        missing = {
+            one.name: others[one.name]
+            for one in options_of(type(self))
+            if one.name in others.keys() - PART and getattr(self, one.name) == one.default
+        }
+        return replace(self, **missing)
 
     @property
     def end(self) -> float:

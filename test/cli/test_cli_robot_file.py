@@ -106,6 +106,9 @@ def test_the_file_serves_the_commands(symbid_here, foreign, robot_file, tmp_path
     ended = symbid_here("validate", out, "--bag", foreign, "--robot", robot_file)
     assert ended.returncode < 2, ended.stderr
     assert "all joints" in ended.stdout
+    # The result remembers names, units and signs.
+    again = symbid_here("validate", out, "--bag", foreign)
+    assert (again.returncode, again.stdout) == (ended.returncode, ended.stdout)
 
 
 def test_an_option_of_the_command_line_comes_first(
