@@ -428,7 +428,10 @@ def least_variance(
         deviation = FORCE * 9.81 * truth.phi[:, 0].sum() * np.where(np.mod(held, 6) < 3, LEVER, 1.0)
         shares = jacobian[:, held] * deviation[:, None]
         covariance += shares.transpose(0, 2, 1) @ shares
-    rows = np.linalg.solve(np.linalg.cholesky(covariance), columns(motion))
+    # Joints that follow others have no equation of their own.
+    own = np.setdiff1d(np.arange(truth.dof), first + np.array(list(truth.followers), dtype=int))
+    covariance = covariance[:, own[:, None], own]
+    rows = np.linalg.solve(np.linalg.cholesky(covariance), columns(motion)[:, own])
     rows = rows.reshape(-1, rows.shape[2])
     precision = rows.T @ rows
     # Friction and armature are known from the log alone.
