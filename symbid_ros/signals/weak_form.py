@@ -435,27 +435,22 @@ def _hann(readings: SensorSamples, centres: FloatArray, length: float) -> csr_ar
 
 @dataclass(frozen=True)
 class Average:
-    """Sums over windows: flat [K y] (W, n p + n), and shares of weight that is valid or slips."""
+    """Sums over windows: K (W, n, p), y (W, n), and shares of weight that is valid or slips."""
 
-    flat: FloatArray
+    K: FloatArray
+    y: FloatArray
     valid: FloatArray
     slips: FloatArray | None
     combined: CombinedCoordinates | None
-    shape: tuple[int, int]
 
 
 def extended(averages: Sequence[Average], K: FloatArray) -> list[Average]:
     """Return averages with more columns K (ΣW, n, p), one after another, before their own."""
-    starts = np.cumsum([len(one.flat) for one in averages])[:-1]
-    found = []
-    for one, part in zip(averages, np.split(K, starts), strict=True):
-        n, own = one.shape
-        columns = one.flat[:, : n * own].reshape(len(one.flat), n, own)
-        both = np.concatenate([part, columns], axis=2) if own else part
-        width = both.shape[2]
-        flat = np.concatenate([both.reshape(-1, n * width), one.flat[:, n * own :]], axis=1)
-        found.append(replace(one, flat=flat, shape=(n, width)))
-    return found
+    starts = np.cumsum([len(one.y) for one in averages])[:-1]
+    return [
+        replace(one, K=np.concatenate([part, one.K], axis=2) if one.K.size else part)
+        for one, part in zip(averages, np.split(K, starts), strict=True)
+    ]
 
 
 def _averages_of(
@@ -472,14 +467,15 @@ def average(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> list[
     start = 0
     for part in parts:
         count, n, p = part.rows.K.shape
-        flat = np.concatenate([part.rows.K.reshape(count, n * p), part.rows.y], axis=1)
         columns = slice(start, start + count)
         terms = []
         for weight in weights:
             some = weight[:, columns]
             slips = None if part.slips is None else some @ part.slips
             combined = None if part.combined is None else part.combined.averaged(some)
-            terms.append(Average(some @ flat, some @ part.valid, slips, combined, (n, p)))
+            shape = some.shape[0], n, p
+            K = (some @ part.rows.K.reshape(count, n * p)).reshape(shape) if p else np.empty(shape)
+            terms.append(Average(K, some @ part.rows.y, some @ part.valid, slips, combined))
         sums = terms if not sums else [_add(a, b) for a, b in zip(sums, terms, strict=True)]
         start += count
     return sums
@@ -488,23 +484,19 @@ def average(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> list[
 def _add(a: Average, b: Average) -> Average:
     slips = None if a.slips is None or b.slips is None else a.slips + b.slips
     combined = None if a.combined is None or b.combined is None else a.combined + b.combined
-    return Average(a.flat + b.flat, a.valid + b.valid, slips, combined, a.shape)
+    return Average(a.K + b.K, a.y + b.y, a.valid + b.valid, slips, combined)
 
 
 def _windowed_rows_of(
     mean: Average, noisy: Average | None, stamp: IntArray, represented: int
 ) -> WindowedRows:
-    n, p = mean.shape
     if mean.combined is not None:
         valid, slips = mean.combined.valid()
     else:
         valid = mean.valid > SLIPPING
         slips = None if mean.slips is None else (mean.slips > SLIPPING) & valid
-
-    def rows(flat: FloatArray) -> Rows:
-        return Rows(flat[:, : n * p].reshape(-1, n, p), flat[:, n * p :]).masked(valid)
-
     noise = None
     if noisy is not None:
-        noise = rows(np.sqrt(represented) * (noisy.flat - mean.flat))
-    return WindowedRows(rows(mean.flat), noise, valid, stamp, slips)
+        scale = np.sqrt(represented)
+        noise = Rows(scale * (noisy.K - mean.K), scale * (noisy.y - mean.y)).masked(valid)
+    return WindowedRows(Rows(mean.K, mean.y).masked(valid), noise, valid, stamp, slips)
