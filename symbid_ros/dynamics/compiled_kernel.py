@@ -51,13 +51,13 @@ class CompiledKernel:
 
     Parameters
     ----------
-    file : bytes
+    content : bytes
         A line of names, then an object file with the code. The first name is that of the function,
         the others are those of functions outside the code.
     """
 
-    def __init__(self, file: bytes) -> None:
-        line, _, code = file.partition(b"\n")
+    def __init__(self, content: bytes) -> None:
+        line, _, code = content.partition(b"\n")
         name, *outside = line.decode("ascii").split()
         # The code allocates no memory and raises no errors, so that it never calls the functions
         # of Numba's runtime, which it names.
@@ -152,8 +152,8 @@ def load_kernel() -> CompiledKernel:
     llvm.initialize_native_asmprinter()
     file = f"kernel-{_fingerprint()}.o"
     for folder in _folders():
-        with suppress(OSError, RuntimeError):  # no such file, or it is damaged
-            return CompiledKernel((folder / file).read_bytes())
+        if content := _read(folder / file):
+            return CompiledKernel(content)
     from symbid_ros.dynamics.kernel import compile_to_llvm  # noqa: PLC0415 - Numba loads slowly
 
     writable = (folder for folder in _folders() if _is_writable(folder))
@@ -219,8 +219,21 @@ def _is_writable(folder: Path) -> bool:
         return False
 
 
+def _read(file: Path) -> bytes | None:
+    """Return what was written to a file; None if there is none, or it is damaged."""
+    try:
+        checksum, _, content = file.read_bytes().partition(b"\n")
+    except OSError:
+        return None
+    return content if checksum.decode("latin-1") == _checksum(content) else None
+
+
 def _write(file: Path, content: bytes) -> None:
     """Write a file at once, because another process may read it."""
     with tempfile.NamedTemporaryFile(dir=file.parent, delete=False) as part:
-        part.write(content)
+        part.write(_checksum(content).encode("ascii") + b"\n" + content)
     Path(part.name).replace(file)
+
+
+def _checksum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from random_robots import random_robot, random_samples
 from scipy.sparse import csr_array
 
+from symbid_ros.dynamics import compiled_kernel
 from symbid_ros.dynamics.compiled_kernel import FOLDER, load_kernel
 from symbid_ros.dynamics.inertial_rows import (
     KERNEL,
@@ -134,3 +135,19 @@ def test_code_that_was_kept_needs_no_numba(tmp_path):
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
     )
     assert (done.stdout, done.stderr) == ("done\n", "")
+
+
+def test_damaged_code_is_compiled_again(tmp_path, monkeypatch, caplog):
+    def compiled(kinds):
+        raise ImportError("it would be compiled")
+
+    content = b"name\n" + bytes(1000)
+    monkeypatch.setenv(FOLDER, str(tmp_path))
+    monkeypatch.setattr("symbid_ros.dynamics.kernel.compile_to_llvm", compiled)
+    file = tmp_path / f"kernel-{compiled_kernel._fingerprint()}.o"
+    compiled_kernel._write(file, content)
+    assert compiled_kernel._read(file) == content
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(ImportError, match="would be compiled"):
+        load_kernel.__wrapped__()
+    assert f"kept in {tmp_path}" in caplog.text
