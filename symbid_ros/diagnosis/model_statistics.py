@@ -31,6 +31,9 @@ from symbid_ros.signals.weak_form import (
 # The first that suits the rate is used. It is long enough to average out vibration and short enough
 # for short logs.
 WINDOWS = ALL_WINDOWS[1:]
+# The rate of the rows suffices for windows of this length, s. At the lower rate that suffices for
+# signals in longer windows, products of rates with much noise, as that of jitter, alias.
+SHORTEST = 0.1
 # Rate, Hz, that is sufficient for these windows, and its share that the low-pass keeps.
 RATE, PASSED = 250.0, 0.2
 # A wrench sensor is loaded if its root mean square force exceeds these shares of the most loaded
@@ -117,7 +120,7 @@ class ModelStatistics:
             if not _is_taken(self._blocks):
                 continue
             for part in cut_to([segment], block * length, (block + 1) * length):
-                for (rows,) in windowed_rows(part, self._build, windows, (), shortest=windows[0]):
+                for (rows,) in windowed_rows(part, self._build, windows, (), shortest=SHORTEST):
                     self.rows.fold(rows.mean)
                     self._row_sum += rows.mean.K[:, :, : len(self.prior.names)].sum(axis=0)
 

@@ -448,7 +448,7 @@ def extended(averages: Sequence[Average], K: FloatArray) -> list[Average]:
     """Return averages with more columns K (ΣW, n, p), one after another, before their own."""
     starts = np.cumsum([len(one.y) for one in averages])[:-1]
     return [
-        replace(one, K=np.concatenate([part, one.K], axis=2) if one.K.size else part)
+        replace(one, K=np.concatenate([part, one.K], axis=2) if one.K.shape[2] else part)
         for one, part in zip(averages, np.split(K, starts), strict=True)
     ]
 
