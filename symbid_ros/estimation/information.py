@@ -161,11 +161,9 @@ class RowLayout:
         first = 0
         for rows in blocks:
             part = flat[first : first + len(rows.y)]
-            for coordinate, (columns, place) in enumerate(
-                zip(self.columns, self.slices, strict=True)
-            ):
-                part[:, place.start : place.stop - 1] = rows.K[:, coordinate, columns]
-                part[:, place.stop - 1] = rows.y[:, coordinate]
+            for i, (columns, place) in enumerate(zip(self.columns, self.slices, strict=True)):
+                part[:, place.start : place.stop - 1] = rows.K[:, i, columns]
+                part[:, place.stop - 1] = rows.y[:, i]
             first += len(part)
         return flat
 
@@ -258,9 +256,7 @@ class Information:
             When a row is not finite, because one NaN would destroy all information.
         """
         if not np.isfinite(flat.sum()):
-            raise DataError(
-                "a sample of the equation of motion is not finite; mask it first", "E413"
-            )
+            raise DataError("a sample of the equation of motion is not finite; mask it", "E413")
         factor = _updated(self.factor.copy(order="F"), flat)
         return Information(self.layout, factor, self.samples + len(flat))
 

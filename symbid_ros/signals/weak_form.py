@@ -176,8 +176,7 @@ class EquationRows(AveragingRows):
         if not self.skips_samples:
             return average(self(readings), weights)
         samples = self._samples(readings)
-        stacked = csr_array(vstack(weights))
-        K, y = averaged_equation_of_motion(parameters, samples, stacked)
+        K, y = averaged_equation_of_motion(parameters, samples, csr_array(vstack(weights)))
         empty = Rows(np.empty((*y.shape, 0)), y)
         forces = average(iter([rows_that_hold(parameters, samples, empty)]), weights)
         return extended(forces, K)
@@ -292,16 +291,9 @@ def windowed_rows(
     shortest : float
         Length of the shortest windows, s, for which the rate of the rows suffices.
     """
+    build_rows = partial(block_rows, full_rate=full_rate, first=first, shortest=shortest)
     for block in cut_into_blocks(segment):
-        yield block_rows(
-            block,
-            build,
-            windows,
-            noisy_channels,
-            full_rate=full_rate,
-            first=first,
-            shortest=shortest,
-        )
+        yield build_rows(block, build, windows, noisy_channels)
 
 
 def cut_into_blocks(segment: Segment) -> Iterator[Segment]:
