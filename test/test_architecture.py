@@ -76,7 +76,7 @@ ROS_LIBRARIES = {
     "std_msgs",
     "std_srvs",
 }
-CORE_LIBRARIES = {"numpy", "scipy", "clarabel", "yaml", "pandas", "numba"}
+CORE_LIBRARIES = {"numpy", "scipy", "clarabel", "yaml", "pandas", "numba", "llvmlite"}
 BAG_LIBRARIES = {"mcap", "rosbags", "apsw"}
 
 API = ROOT / PACKAGE / "__init__.py"  # names everything public, imports nothing before it is used

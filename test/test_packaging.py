@@ -371,6 +371,7 @@ class TestRequirements:
             "clarabel",
             "PyYAML",
             "numba",
+            "llvmlite",
         }
 
 

@@ -14,27 +14,40 @@ Offsets of the joints' encoders enter with the derivative of the equation at the
 changes as slowly as the robot moves and is computed for few instants.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.sparse import csr_array, vstack
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import LinkPoses, joint_axes, link_poses
-from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.regressor import (
+    Rows,
+    averaged_equation_of_motion,
+    equation_of_motion,
+    has_linear_rows,
+)
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows, valid_rows
+from symbid_ros.signals.sampled_rows import SampledRows, valid_rows
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
+from symbid_ros.signals.weak_form import (
+    Average,
+    AveragingRows,
+    average,
+    extended,
+    with_filtered_friction,
+)
 
 CHUNK = 512
 PER_SENSOR = 10  # unknowns of a wrench sensor or an IMU: its matrix row by row, then its delay
 # Period at which the columns of encoder offsets are computed, ns, and step of the difference, rad.
-OFFSET_PERIOD = 200_000_000
+OFFSET_PERIOD = 100_000_000
 OFFSET_STEP = 1e-4
 
 
@@ -156,7 +169,7 @@ class GainLayout:
         time = (readings.stamp - readings.stamp[0]) * 1e-9
 
         def slope(values: FloatArray) -> FloatArray:
-            return np.gradient(values, time, axis=0) if count > 1 else np.zeros_like(values)
+            return _slope(values, time)
 
         parts = C[:, :, : self.efforts.start].reshape(count, model.dof, -1, PER_SENSOR)
         if sensors:
@@ -237,6 +250,17 @@ def specific_force_jacobian(parameters: ParameterSet, poses: LinkPoses) -> Float
     return np.concatenate([moment, mass.sum() * unit, felt], axis=1)
 
 
+def _slope(values: FloatArray, time: FloatArray) -> FloatArray:
+    """Return the derivative of uniformly sampled values (N, ...): of fourth order, but at ends."""
+    if len(time) < 2:
+        return np.zeros_like(values)
+    slope: FloatArray = np.gradient(values, time, axis=0)
+    if len(time) > 4:
+        inner = 8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])
+        slope[2:-2] = inner * ((len(time) - 1) / (12 * (time[-1] - time[0])))
+    return slope
+
+
 def _imu_derivative(
     readings: SensorSamples, index: int, slope: Callable[[FloatArray], FloatArray]
 ) -> SensorSamples:
@@ -255,19 +279,43 @@ def _imu_derivative(
     )
 
 
-def gain_rows(parameters: ParameterSet, gains: GainLayout) -> RowBuilder:
-    """Return a builder of rows [K, -C] [φ; θ] = y from sensor samples."""
-    model = parameters.model
+@dataclass(frozen=True)
+class GainRows(AveragingRows):
+    """Builds rows [K, -C] [φ; θ] = y.
 
-    def build(readings: SensorSamples) -> Iterator[SampledRows]:
+    Attributes
+    ----------
+    parameters : ParameterSet
+        φ.
+    gains : GainLayout
+        θ.
+    """
+
+    parameters: ParameterSet
+    gains: GainLayout
+
+    def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
+        """Yield the rows of sensor samples."""
         for start in range(0, len(readings), CHUNK):
             part = readings[start : start + CHUNK]
-            rows = equation_of_motion(parameters, at_base(part, model))
-            K = np.concatenate([rows.K, -gains.columns(parameters, part)], axis=2)
-            valid = np.ones(rows.y.shape, dtype=bool)
-            yield valid_rows(part.stamp, Rows(K, rows.y), valid)
+            rows = equation_of_motion(self.parameters, at_base(part, self.parameters.model))
+            K = np.concatenate([rows.K, -self.gains.columns(self.parameters, part)], axis=2)
+            yield valid_rows(part.stamp, Rows(K, rows.y), np.ones(rows.y.shape, dtype=bool))
 
-    return build
+    def averages(self, readings: SensorSamples, weights: Sequence[csr_array]) -> list[Average]:
+        """Return averages over windows, of K without rows of single samples if possible."""
+        parameters = self.parameters
+        if not has_linear_rows(parameters):
+            return average(self(readings), weights)
+        samples = with_filtered_friction(
+            at_base(readings, parameters.model), parameters.model, readings.recorded
+        )
+        K, y = averaged_equation_of_motion(parameters, samples, csr_array(vstack(weights)))
+        rows = Rows(-self.gains.columns(parameters, readings), y)
+        of_gains = average(
+            iter([valid_rows(readings.stamp, rows, np.ones(y.shape, dtype=bool))]), weights
+        )
+        return extended(of_gains, K)
 
 
 @dataclass

@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import TERMS, Term
-from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, gain_rows
+from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, GainRows
 from symbid_ros.diagnosis.gains import GainProblem
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
 from symbid_ros.diagnosis.wrist_evidence import payload_evidence
@@ -31,6 +31,9 @@ from symbid_ros.signals.weak_form import (
 # The first that suits the rate is used. It is long enough to average out vibration and short enough
 # for short logs.
 WINDOWS = ALL_WINDOWS[1:]
+# The rate of the rows suffices for windows of this length, s. At the lower rate that suffices for
+# signals in longer windows, products of rates with much noise, as that of jitter, alias.
+SHORTEST = 0.1
 # Rate, Hz, that is sufficient for these windows, and its share that the low-pass keeps.
 RATE, PASSED = 250.0, 0.2
 # A wrench sensor is loaded if its root mean square force exceeds these shares of the most loaded
@@ -89,7 +92,7 @@ class ModelStatistics:
             for index in range(len(imu_frames) if model.floating else 0)
         )
         self.payloads = payload_evidence(model, [*model.wrist_sensors, *wrench_frames])
-        self._build = gain_rows(self.parameters, self.gains)
+        self._build = GainRows(self.parameters, self.gains)
         self._row_sum = np.zeros((model.dof, len(self.prior.names)))
         self._samples = self._blocks = 0
         self._force_square = np.zeros(len(wrench_frames))
@@ -117,7 +120,7 @@ class ModelStatistics:
             if not _is_taken(self._blocks):
                 continue
             for part in cut_to([segment], block * length, (block + 1) * length):
-                for (rows,) in windowed_rows(part, self._build, windows, ()):
+                for (rows,) in windowed_rows(part, self._build, windows, (), shortest=SHORTEST):
                     self.rows.fold(rows.mean)
                     self._row_sum += rows.mean.K[:, :, : len(self.prior.names)].sum(axis=0)
 

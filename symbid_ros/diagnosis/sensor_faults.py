@@ -2,7 +2,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -176,34 +176,38 @@ class FreezeDetector:
 
 def _all_changes(streams: Streams, during: tuple[int, int]) -> Iterator[ChannelChanges]:
     joints = streams.joints
+    inside = _inside(joints.stamp, during)
+    stamp = joints.stamp[inside]
     for field_name in ("position", "effort"):
-        values = getattr(joints, field_name)
+        changed, is_blank = (one[inside] for one in _changes(getattr(joints, field_name)))
         for column, name in enumerate(joints.names):
-            changes = _changes(
-                (joints.topic, f"{field_name} of {name}"),
-                joints.stamp,
-                values[:, column : column + 1],
-                during,
+            yield ChannelChanges(
+                joints.topic,
+                f"{field_name} of {name}",
+                stamp,
+                changed[:, column],
+                is_blank[:, column],
+                joints.position[inside, column],
+                is_position=field_name == "position",
             )
-            position = joints.position[:, column][_inside(joints.stamp, during)]
-            yield replace(changes, position=position, is_position=field_name == "position")
     for imu in streams.imus:
-        values = np.hstack([imu.angular_velocity, imu.linear_acceleration])
-        yield _changes((imu.topic, ""), imu.stamp, values, during)
+        yield _any_changes(imu, during, imu.angular_velocity, imu.linear_acceleration)
     for wrench in streams.wrenches:
-        values = np.hstack([wrench.force, wrench.torque])
-        yield _changes((wrench.topic, ""), wrench.stamp, values, during)
+        yield _any_changes(wrench, during, wrench.force, wrench.torque)
 
 
-def _changes(
-    name: tuple[str, str], stamp: IntArray, values: FloatArray, during: tuple[int, int]
-) -> ChannelChanges:
-    inside = _inside(stamp, during)
-    changed = np.ones(len(stamp), dtype=bool)
-    changed[1:] = np.any(differs(values[1:], values[:-1]), axis=1)
-    # Zeros and NaN are not measurements.
-    is_blank = ~np.any(np.nan_to_num(values), axis=1)
-    return ChannelChanges(*name, stamp[inside], changed[inside], is_blank[inside])
+def _any_changes(sensor: Stream, during: tuple[int, int], *vectors: FloatArray) -> ChannelChanges:
+    changed, is_blank = _changes(np.hstack(vectors))
+    inside = _inside(sensor.stamp, during)
+    any_changed, all_blank = np.any(changed[inside], axis=1), np.all(is_blank[inside], axis=1)
+    return ChannelChanges(sensor.topic, "", sensor.stamp[inside], any_changed, all_blank)
+
+
+def _changes(values: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Return which values (N, c) differ from those before, and which are zero or NaN."""
+    changed = np.ones(values.shape, dtype=bool)
+    changed[1:] = differs(values[1:], values[:-1])
+    return changed, np.asarray((values == 0) | np.isnan(values))
 
 
 def _inside(stamp: IntArray, during: tuple[int, int]) -> slice:

@@ -7,18 +7,17 @@ Most columns of a joint's row are zero, because only links that a joint carries 
 rows omit these structural zeros.
 """
 
-import logging
 import os
 import weakref
 from dataclasses import dataclass
 from functools import cache, cached_property
-from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.dynamics.kernel_arrays import Loads, Motion, Tree, Windows
 from symbid_ros.dynamics.kinematics import (
     JointTable,
     LinkPoses,
@@ -35,7 +34,8 @@ from symbid_ros.model.inertia import pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import STANDARD_GRAVITY, Link, RobotModel
 
-logger = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from symbid_ros.dynamics.compiled_kernel import CompiledKernel
 
 # Environment variable that selects how rows are computed.
 KERNEL = "SYMBID_KERNEL"
@@ -199,13 +199,13 @@ def compile_kernel() -> None:
     dense_rows(ParameterSet(fixed), Samples.none(()))
 
 
-def _kernel() -> ModuleType | None:
+def _kernel() -> "CompiledKernel | None":
     """Return the compiled kernel, or None if NumPy is selected."""
     return _loaded_kernel(os.environ.get(KERNEL, NUMBA))
 
 
 @cache
-def _loaded_kernel(choice: str) -> ModuleType | None:
+def _loaded_kernel(choice: str) -> "CompiledKernel | None":
     if choice == NUMPY:
         return None
     if choice != NUMBA:
@@ -215,26 +215,19 @@ def _loaded_kernel(choice: str) -> ModuleType | None:
             "E940",
         )
     try:
-        from symbid_ros.dynamics import kernel  # noqa: PLC0415 (Numba takes a third of a second)
+        from symbid_ros.dynamics.compiled_kernel import load_kernel  # noqa: PLC0415
+
+        return load_kernel()
     except ImportError as error:
         raise OptionError(
             f"the compiled kernel needs Numba, which cannot be imported ({error}); install numba, "
             f"or set the environment variable {KERNEL}={NUMPY}",
             "E941",
         ) from error
-    if not kernel.is_cached():
-        folder = kernel.cache_folder()
-        logger.warning(
-            "compiling the regressor for this computer: some 10 s, %s",
-            f"once (kept in {folder})"
-            if folder
-            else "at every start, because no folder can be written; set NUMBA_CACHE_DIR",
-        )
-    return kernel
 
 
 def _evaluate(
-    kernel: ModuleType,
+    kernel: "CompiledKernel",
     parameters: ParameterSet,
     samples: Samples,
     *,
@@ -245,7 +238,7 @@ def _evaluate(
     """Let the kernel write rows, sums over windows or forces, and return y (N, n)."""
     model, count = parameters.model, len(samples)
     layout = PackedLayout.of(parameters)
-    motion = kernel.Motion(
+    motion = Motion(
         _plain(samples.position),
         _plain(samples.velocity),
         _plain(samples.acceleration),
@@ -255,7 +248,7 @@ def _evaluate(
     )
     frames = samples.wrench_frames
     mounts = [model.frame(name) for name in frames]
-    loads = kernel.Loads(
+    loads = Loads(
         _plain(samples.effort),
         _plain(samples.wrenches),
         np.array([model.loaded_link(name) for name in frames], dtype=np.int64),
@@ -266,19 +259,28 @@ def _evaluate(
     )
     if rows is None:
         rows = layout.place, np.empty((count, 0))
-    windows, totals = kernel.Windows(*NO_WINDOWS), np.empty((0, 0))
+    windows, totals = Windows(*NO_WINDOWS), np.empty((0, 0))
     if sums is not None:
         weights, totals = sums
         first = np.append(weights.indices, 0)[weights.indptr[:-1]]
         starts = weights.indptr.astype(np.int64)
-        windows = kernel.Windows(first.astype(np.int64), starts, _plain(weights.data))
+        windows = Windows(first.astype(np.int64), starts, _plain(weights.data))
     phi, products = np.empty((0, 0)), np.empty((0, 0, 0))
     if forces is not None:
         phi, products = forces[0][:, layout.column], forces[1]
     y = np.empty((count, model.dof))
-    tree = kernel.Tree(*layout.joints)
+    tree = Tree(*layout.joints)
     kernel.evaluate(
-        tree, motion, loads, *rows, windows, totals, layout.row, _plain(phi), products, y
+        tree,
+        motion,
+        loads,
+        windows,
+        rows=rows,
+        sums=totals,
+        row=layout.row,
+        phi=_plain(phi),
+        forces=products,
+        y=y,
     )
     model.fold_followers(y)
     return y

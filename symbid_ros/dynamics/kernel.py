@@ -7,22 +7,18 @@ multiples of ``LANES``: from these constant distances the compiler sees that the
 overlap. The forces of a link are multiplied by the axes of the joints between it and the base
 alone. The result is *packed*: the structural zeros of K are not computed.
 
-The functions read no constant of another module: Numba's cache of compiled code only follows
-changes of this file.
+The functions allocate no memory and raise no error, so that their machine code runs without Numba:
+:mod:`symbid_ros.dynamics.compiled_kernel` compiles and calls it.
 """
 
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
+from numba import carray, types  # type: ignore[attr-defined]
 
-from symbid_ros.arrays import FloatArray, IntArray
-
-# Samples of a tile. The tile's results fit the second-level cache for robots of 60 joints, and the
-# state and forces of one link the first-level cache.
-LANES = 64
+from symbid_ros.dynamics.kernel_arrays import LANES, STATE, WRENCH, Loads, Motion, Tree, Windows
 
 # Numbers in a cache line.
 LINE = 8
@@ -31,111 +27,10 @@ LINE = 8
 # (angular, linear) about the base's origin, ω, ω̇, specific force of the origin, S(ω̇) + S(ω)².
 ORIGIN, AXIS, ARM = 9 * LANES, 12 * LANES, 15 * LANES
 OMEGA, ALPHA, FORCE, LEVER = 18 * LANES, 21 * LANES, 24 * LANES, 27 * LANES
-STATE = 36 * LANES
 # Places of a link's wrench per unit parameter: moments (3, 10), then forces (3, 4), because second
 # moments need no force.
 FORCES = 30 * LANES
-WRENCH = 42 * LANES
-
-
-class Tree(NamedTuple):
-    """A robot's joints and the places of its packed results.
-
-    Attributes
-    ----------
-    parent : (J,) int64
-        Parent links; joint j carries link j + 1.
-    pose : (J, 15, 4) float64
-        :attr:`symbid_ros.dynamics.kinematics.JointTable.pose`.
-    reference : (J,) float64
-        Positions at which the child has the pose of the model file.
-    revolute : (J,) float64
-        1 for a revolute joint, 0 for a prismatic one.
-    rank : (L,) int64
-        Position of each link among those with parameters, -1 for others.
-    ranked : int
-        Number of links with parameters.
-    floating : bool
-        Whether the first six coordinates are those of the base.
-    pair_start : (L + 1,) int64
-        Slices of the pairs of each link.
-    pair_joint, pair_place : (P,) int64
-        The joints between the base and the link, and where their rows of its columns begin.
-    """
-
-    parent: IntArray
-    pose: FloatArray
-    reference: FloatArray
-    revolute: FloatArray
-    rank: IntArray
-    ranked: int
-    floating: bool
-    pair_start: IntArray
-    pair_joint: IntArray
-    pair_place: IntArray
-
-
-class Motion(NamedTuple):
-    """Motion of N samples.
-
-    Attributes
-    ----------
-    position, velocity, acceleration : (N, J) float64
-    omega, alpha, force : (N, 3) float64
-        Of the base.
-    """
-
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    omega: FloatArray
-    alpha: FloatArray
-    force: FloatArray
-
-
-class Loads(NamedTuple):
-    """Efforts and measured wrenches of N samples.
-
-    Attributes
-    ----------
-    effort : (N, J) float64
-    wrench : (N, F, 6) float64
-        Moment and force in each sensor's frame.
-    link : (F,) int64
-        The link on which the wrench acts.
-    carrier : (F,) int64
-        The link to which the frame is fixed.
-    rotation, translation : (F, 3, 3) and (F, 3) float64
-        Pose of the frame in its link.
-    path : (J, L) bool
-        Whether a joint lies between the base and a link.
-    """
-
-    effort: FloatArray
-    wrench: FloatArray
-    link: IntArray
-    carrier: IntArray
-    rotation: FloatArray
-    translation: FloatArray
-    path: Any
-
-
-class Windows(NamedTuple):
-    """Weights of W windows of consecutive samples.
-
-    Attributes
-    ----------
-    first : (W,) int64
-        First sample of each window.
-    start : (W + 1,) int64
-        Slices of ``weight``.
-    weight : (S,) float64
-        Weights of the samples of all windows.
-    """
-
-    first: IntArray
-    start: IntArray
-    weight: FloatArray
+STATES = STATE * LANES
 
 
 def _compiled(function: Callable[..., Any]) -> Any:
@@ -420,12 +315,11 @@ def _add_loads(tree, loads, first, count, states, y):
 
 
 @_compiled
-def _scatter(tile, first, count, index, rows):
-    """Write a tile to rows (N, c), zero beside the columns ``index``."""
-    if rows.shape[1] > len(index):
-        rows[first : first + count] = 0.0
-    flat = rows[first : first + count].reshape(-1)
-    columns = rows.shape[1]
+def _scatter(tile, first, count, index, rows, columns):
+    """Write a tile to flat rows (N c,) of c columns, zero beside the columns ``index``."""
+    flat = rows[first * columns : (first + count) * columns]
+    if columns > len(index):
+        flat[:] = 0.0
     for start in range(0, count - LINE + 1, LINE):
         part = flat[start * columns :]
         for k in range(len(index)):
@@ -484,53 +378,105 @@ def _add_forces(tile, first, count, row, phi, totals, forces):
                 forces[v, first + s, i] = totals[i * LANES + s]
 
 
-def _evaluate(tree, motion, loads, index, rows, windows, means, row, phi, forces, y):
-    """Write rows (N, c) or the means (W, w) of their packed columns, forces and y (N, n).
+@_compiled
+def _evaluate(
+    tree, motion, loads, index, rows, columns, windows, means, row, phi, forces, y, states, scratch
+):
+    """Write flat rows (N c,) or the means (W, w) of their packed columns, forces and y (N, n).
 
     Without columns c or windows W the respective result is omitted. ``index`` (w,) are the columns
     of the packed ones in ``rows``. Forces (V, N, n) are the products with parameters (V, w).
     """
-    states = np.empty((len(tree.parent) + 1, STATE))
-    lanes, weights, wrench = np.empty(3 * LANES), np.empty(LANES), np.empty(WRENCH)
-    tile, totals = np.empty(len(index) * LANES), np.empty(y.shape[1] * LANES)
+    end = 4 * LANES
+    lanes, weights = scratch[: 3 * LANES], scratch[3 * LANES : end]
+    wrench = scratch[end : end + WRENCH * LANES]
+    end += WRENCH * LANES
+    tile = scratch[end : end + len(index) * LANES]
+    totals = scratch[end + len(index) * LANES :]
     means[:] = 0.0
     for first in range(0, len(y), LANES):
         count = min(LANES, len(y) - first)
         _fill_tile(tree, motion, first, count, states, lanes, wrench, tile)
         _add_loads(tree, loads, first, count, states, y)
-        if rows.shape[1] > 0:
-            _scatter(tile, first, count, index, rows)
+        if columns > 0:
+            _scatter(tile, first, count, index, rows, columns)
         if len(means) > 0:
             _add_windows(tile, first, count, windows, weights, means)
         if len(phi) > 0:
             _add_forces(tile, first, count, row, phi, totals, forces)
 
 
-def _cached() -> Any:
-    """Return the compiled function; Numba keeps it beside this file or in the user's cache."""
-    compiler: Any = numba.njit
-    flags = {"contract", "nsz"}
-    try:
-        return compiler(fastmath=flags, error_model="numpy", nogil=True, cache=True)(_evaluate)
-    except RuntimeError:  # neither folder can be written
-        return compiler(fastmath=flags, error_model="numpy", nogil=True)(_evaluate)
+def _evaluate_at(
+    parent, pose, reference, revolute, rank, pair_start, pair_joint, pair_place,
+    position, velocity, acceleration, omega, alpha, force,
+    effort, wrench, link, carrier, rotation, translation, path,
+    first, start, weight,
+    index, rows, means, row, phi, forces, y, states, scratch,
+    sizes,
+):  # fmt: skip
+    """Evaluate arrays at addresses, which are as in :mod:`symbid_ros.dynamics.compiled_kernel`."""
+    numbers = carray(sizes, (14,))
+    N, J, F, P, S = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
+    W, w, m, c, V = numbers[5], numbers[6], numbers[7], numbers[8], numbers[9]
+    n, size, ranked, floating = numbers[10], numbers[11], numbers[12], numbers[13]
+    tree = Tree(
+        carray(parent, (J,)),
+        carray(pose, (J, 15, 4)),
+        carray(reference, (J,)),
+        carray(revolute, (J,)),
+        carray(rank, (J + 1,)),
+        ranked,
+        floating != 0,
+        carray(pair_start, (J + 2,)),
+        carray(pair_joint, (P,)),
+        carray(pair_place, (P,)),
+    )
+    motion = Motion(
+        carray(position, (N, J)),
+        carray(velocity, (N, J)),
+        carray(acceleration, (N, J)),
+        carray(omega, (N, 3)),
+        carray(alpha, (N, 3)),
+        carray(force, (N, 3)),
+    )
+    loads = Loads(
+        carray(effort, (N, J)),
+        carray(wrench, (N, F, 6)),
+        carray(link, (F,)),
+        carray(carrier, (F,)),
+        carray(rotation, (F, 3, 3)),
+        carray(translation, (F, 3)),
+        carray(path, (J, J + 1)),
+    )
+    windows = Windows(carray(first, (W,)), carray(start, (W + 1,)), carray(weight, (S,)))
+    _evaluate(
+        tree,
+        motion,
+        loads,
+        carray(index, (w,)),
+        carray(rows, (N * c,)),
+        c,
+        windows,
+        carray(means, (W, m)),
+        carray(row, (w,)),
+        carray(phi, (V, w)),
+        carray(forces, (V, N, n)),
+        carray(y, (N, n)),
+        carray(states, (J + 1, STATES)),
+        carray(scratch, (size,)),
+    )
 
 
-evaluate = _cached()
+def compile_to_llvm(kinds: str) -> tuple[str, str]:
+    """Return the kernel as LLVM's assembly, and the name of its function of addresses.
 
-
-def cache_folder() -> Path | None:
-    """Return the folder of the compiled function; None if it cannot be kept."""
-    folder = evaluate.stats.cache_path
-    return None if folder is None else Path(folder)
-
-
-def is_cached() -> bool:
-    """Return whether this version of the function was compiled before."""
-    if cache_folder() is None:
-        return False
-    try:
-        # Numba compares the contents of this file with those that it compiled.
-        return bool(evaluate._cache._cache_file._load_index())
-    except AttributeError:  # another version of Numba: the user waits without an explanation
-        return True
+    Parameters
+    ----------
+    kinds : str
+        Of each array: "d" for float64, "q" for int64 and "?" for bool.
+    """
+    kind = {"d": types.float64, "q": types.int64, "?": types.boolean}
+    compiler: Any = numba.cfunc
+    signature = types.void(*[types.CPointer(kind[one]) for one in kinds])
+    compiled = compiler(signature, error_model="numpy")(_evaluate_at)
+    return compiled.inspect_llvm(), compiled.native_name

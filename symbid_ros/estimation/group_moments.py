@@ -9,6 +9,7 @@ the same moments. Both need no second pass over the data.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -124,19 +125,26 @@ class GroupMoments:
         return self._fold((block.rows, block.valid, block.stamp) for block in blocks)
 
     def _fold(self, blocks: Iterable[tuple[Rows, BoolArray, IntArray]]) -> "GroupMoments":
-        sums = [each.moments.copy() for each in self.parts]
-        counts = self.counts.copy()
+        found = self
         for rows, valid, stamp in blocks:
-            group = (stamp // SECOND) % GROUPS
-            np.add.at(counts, group, valid)
-            members = [(one, np.flatnonzero(group == one)) for one in set(group.tolist())]
-            for each, part in zip(sums, self.parts, strict=True):
-                columns = self.layout.columns[part.coordinate]
-                flat = np.column_stack(
-                    [rows.K[:, part.coordinate, columns], rows.y[:, part.coordinate]]
-                )
-                for one, some in members:
-                    each[one] += flat[some][:, part.left].T @ flat[some]
+            found = found.fold_flat(self.layout.flatten([rows]), valid, stamp)
+        return found
+
+    def fold_flat(self, flat: FloatArray, valid: BoolArray, stamp: IntArray) -> "GroupMoments":
+        """Return the moments with more flat rows (N, w), valid at some coordinates (N, n)."""
+        group = (stamp // SECOND) % GROUPS
+        counts = self.counts.copy()
+        np.add.at(counts, group, valid)
+        order = np.argsort(group, kind="stable")
+        flat, ends = flat[order], np.searchsorted(group[order], np.arange(GROUPS + 1)).tolist()
+        sums = [each.moments.copy() for each in self.parts]
+        for each, part in zip(sums, self.parts, strict=True):
+            own = flat[:, self.layout.slices[part.coordinate]]
+            is_complete = len(part.left) == own.shape[1]
+            for one, (start, stop) in enumerate(pairwise(ends)):
+                if start < stop:
+                    some = own[start:stop]
+                    each[one] += (some if is_complete else some[:, part.left]).T @ some
         return self._with(sums, counts)
 
     def _with(self, sums: Iterable[FloatArray], counts: FloatArray) -> "GroupMoments":

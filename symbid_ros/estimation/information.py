@@ -8,7 +8,7 @@ is enough, without a second pass over the data, for:
 - the residual of any parameter vector.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -155,13 +155,21 @@ class RowLayout:
         data = gram.ravel(order="F")[pattern.data]
         return csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
 
-    def flatten(self, rows: Rows) -> FloatArray:
-        """Return the flat rows (N, w) of N samples."""
-        flat = np.empty((len(rows.K), self.width))
-        for coordinate, (columns, place) in enumerate(zip(self.columns, self.slices, strict=True)):
-            flat[:, place.start : place.stop - 1] = rows.K[:, coordinate, columns]
-            flat[:, place.stop - 1] = rows.y[:, coordinate]
+    def flatten(self, blocks: Sequence[Rows]) -> FloatArray:
+        """Return the flat rows (N, w) of all samples of blocks."""
+        flat = np.empty((sum(len(rows.y) for rows in blocks), self.width))
+        first = 0
+        for rows in blocks:
+            part = flat[first : first + len(rows.y)]
+            for i, (columns, place) in enumerate(zip(self.columns, self.slices, strict=True)):
+                part[:, place.start : place.stop - 1] = rows.K[:, i, columns]
+                part[:, place.stop - 1] = rows.y[:, i]
+            first += len(part)
         return flat
+
+    def spread(self, values: BoolArray) -> BoolArray:
+        """Return values of coordinates (N, n) for all columns of the flat rows (N, w)."""
+        return np.repeat(values, [place.stop - place.start for place in self.slices], axis=1)
 
 
 def random_motions(model: RobotModel, count: int) -> Samples:
@@ -231,21 +239,26 @@ class Information:
         DataError
             When a row is not finite, because one NaN would destroy all information.
         """
-        factor, samples = self.factor.copy(order="F"), self.samples
-        waiting: list[FloatArray] = []
+        found: Information = self
+        waiting: list[Rows] = []
         for rows in blocks:
-            flat = self.layout.flatten(rows)
-            if not np.all(np.isfinite(flat)):
-                raise DataError(
-                    "a sample of the equation of motion is not finite; mask it first", "E413"
-                )
-            waiting.append(flat)
-            samples += len(flat)
-            if sum(map(len, waiting)) >= ROWS_AT_ONCE:
-                factor, waiting = _updated(factor, np.concatenate(waiting)), []
-        if waiting:
-            factor = _updated(factor, np.concatenate(waiting))
-        return Information(self.layout, factor, samples)
+            waiting.append(rows)
+            if sum(len(each.y) for each in waiting) >= ROWS_AT_ONCE:
+                found, waiting = found.fold_flat(self.layout.flatten(waiting)), []
+        return found.fold_flat(self.layout.flatten(waiting)) if waiting else found
+
+    def fold_flat(self, flat: FloatArray) -> "Information":
+        """Return the information with more flat rows (N, w).
+
+        Raises
+        ------
+        DataError
+            When a row is not finite, because one NaN would destroy all information.
+        """
+        if not np.isfinite(flat.sum()):
+            raise DataError("a sample of the equation of motion is not finite; mask it", "E413")
+        factor = _updated(self.factor.copy(order="F"), flat)
+        return Information(self.layout, factor, self.samples + len(flat))
 
     def discounted(self, share: float) -> "Information":
         """Return the information with every row's weight times ``share``, from 0 to 1."""

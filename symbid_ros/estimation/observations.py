@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import eigh
 
-from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.group_moments import GroupMoments
@@ -113,18 +113,30 @@ class Observations:
         kept = list(blocks)
         if not kept:
             return self
-        counts = self.counts
-        noisy = [block.noise for block in kept if block.noise is not None]
-        for block in kept:
-            valid = block.valid.astype(np.float64)
-            counts = counts + valid.T @ valid
+        layout, stamp = self.layout, np.concatenate([block.stamp for block in kept])
+        noisy = [block for block in kept if block.noise is not None]
+        flat = layout.flatten([block.mean for block in kept])
+        noise = layout.flatten([block.noise for block in noisy if block.noise is not None])
+        found = self._fold_flat(flat, noise, np.concatenate([one.valid for one in kept]), stamp)
+        if self.slipping is None:
+            return found
+        slips = _slipping_coordinates(kept)
+        flat *= layout.spread(slips)
+        if noisy:
+            noise *= layout.spread(_slipping_coordinates(noisy))
+        return replace(found, slipping=self.slipping._fold_flat(flat, noise, slips, stamp))
+
+    def _fold_flat(
+        self, flat: FloatArray, noise: FloatArray, valid: BoolArray, stamp: IntArray
+    ) -> "Observations":
+        """Return the observations with more flat rows (N, w), and with noise (M, w) of some."""
+        used = valid.astype(np.float64)
         return replace(
             self,
-            rows=self.rows.fold(block.mean for block in kept),
-            noise=self.noise.fold(noisy) if noisy else self.noise,
-            counts=counts,
-            groups=self.groups and self.groups.fold(kept),
-            slipping=self.slipping and self.slipping.fold(block.slipping() for block in kept),
+            rows=self.rows.fold_flat(flat),
+            noise=self.noise.fold_flat(noise) if len(noise) else self.noise,
+            counts=self.counts + used.T @ used,
+            groups=self.groups and self.groups.fold_flat(flat, valid, stamp),
         )
 
     def discounted(self, share: float) -> "Observations":
@@ -280,6 +292,11 @@ class Observations:
         own = structure[:, structure.sum(axis=0) == 1].sum(axis=1)
         needed = ROWS_PER_OWN_PARAMETER * own + FEWEST_ROWS
         return np.asarray(self.counts.diagonal() < needed * self.inflation)
+
+
+def _slipping_coordinates(blocks: Iterable[WindowedRows]) -> BoolArray:
+    """Return at which coordinates (N, n) of all blocks' rows no joint may stick."""
+    return np.concatenate([one.valid if one.slips is None else one.slips for one in blocks])
 
 
 def definite(moment: FloatArray) -> FloatArray:

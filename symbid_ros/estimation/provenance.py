@@ -18,7 +18,7 @@ from symbid_ros.package_paths import PACKAGE, package_version
 from symbid_ros.user_files import open_regular
 
 # Libraries that results depend on, as modules; those that are not loaded had no part in it.
-LIBRARIES = ("numpy", "scipy", "numba", "clarabel", "mujoco", "mcap", "rosbags", "apsw")
+LIBRARIES = ("numpy", "scipy", "llvmlite", "clarabel", "mujoco", "mcap", "rosbags", "apsw")
 CHUNK = 1 << 20  # bytes; hashing one releases the interpreter for about a millisecond
 
 

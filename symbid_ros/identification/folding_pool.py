@@ -18,7 +18,7 @@ Rows = tuple[WindowedRows, ...]
 # Rows that are folded at once, at least: each fold copies the factors, and few rows take LAPACK
 # longer per row. Many would take memory.
 BATCH = 256
-RELEASE_PERIOD = 4  # blocks after which freed memory is released
+RELEASE_PERIOD = 16  # blocks after which freed memory is released
 
 
 def available_cores() -> int:

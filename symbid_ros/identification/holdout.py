@@ -142,7 +142,7 @@ def _hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOu
         processing = replace(processing, windows=(window,))
     else:
         training, held_out = tuple(training), tuple(held_out)
-    trial = problem.on_dataset(
+    trial = problem.trial_on(
         fold_dataset(training, f"{dataset.source}, without its end", problem.columns, processing)
     )
     predictor = ForcePredictor.of(trial.solve(), trial.parameters)

@@ -37,7 +37,7 @@ from symbid_ros.identification.term_remarks import (
     replaceable_terms,
     resting_joints,
 )
-from symbid_ros.identification.window_comparison import WindowComparison
+from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_errors import CalibratingRows
@@ -240,22 +240,20 @@ def candidate_posterior(
     prior = fixed_prior(problem.prior, candidates)
     observations = rows_of(problem.observations, slips=slips)
     usable = replace(problem, observations=observations, prior=prior)
-    chosen, start = WindowComparison(usable).finish()
-    correlation = None
-    for _ in range(2):
+    chosen, found = WindowComparison(usable).finish()
+    for _ in range(1 if found is not None else 2):
         found = posterior(
             chosen,
             prior,
             problem.pseudo_measurements,
             empirical=problem.is_empirical,
             count=problem.parameters.inertial,
-            tolerance=1e-2,
-            start=start,
-            correlation=correlation,
+            tolerance=COMPARABLE,
+            start=None if found is None else found.mean,
+            correlation=None if found is None else chosen.joint_correlation(found.mean),
             approximate=True,
         )
-        start = found.mean
-        correlation = chosen.joint_correlation(found.mean)
+    assert found is not None
     return found, chosen
 
 

@@ -140,8 +140,8 @@ class LoadedProblem:
         )
         return replace(self, options=options, prior=prior, solver=solver, tares=tares)
 
-    def on_dataset(self, dataset: Dataset) -> "LoadedProblem":
-        """Return the same problem with another log of the same columns."""
+    def trial_on(self, dataset: Dataset) -> "LoadedProblem":
+        """Return the same problem with another log of the same columns, solved to few digits."""
         solver = _build_solver(
             self.options,
             self.inputs,
@@ -150,6 +150,7 @@ class LoadedProblem:
             dataset=dataset,
             tares=self.tares,
             checks=self.checks,
+            is_trial=True,
         )
         return replace(self, dataset=dataset, solver=solver)
 
@@ -350,6 +351,7 @@ def _build_solver(
     dataset: Dataset,
     tares: Mapping[str, Tare],
     checks: LogChecks = NO_CHECKS,
+    is_trial: bool = False,
 ) -> Solver:
     prior = prior.for_columns(parameters)
     factors = _initial_factors(options, dataset, parameters, prior)
@@ -379,7 +381,7 @@ def _build_solver(
         if factors is not None:
             problem = without_terms(problem, dataset, choice.free)
         problem = replace(choice.applied(problem), choice=choice)
-    return Solver.of(problem)
+    return Solver.of(problem, is_trial=is_trial)
 
 
 def _initial_factors(

@@ -42,6 +42,8 @@ from symbid_ros.signals.sensor_errors import CalibratingRows
 DISAGREEMENT = 1.0
 
 SOFTWARE = f"symbid_ros {package_version()}"
+# Change, in posterior standard deviations, at which a trial has converged.
+TRIAL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -112,10 +114,15 @@ class Solver:
     posterior: Posterior
 
     @classmethod
-    def of(cls, problem: Problem) -> "Solver":
-        """Choose the most informative window length and compute its posterior."""
+    def of(cls, problem: Problem, *, is_trial: bool = False) -> "Solver":
+        """Choose the most informative window length and compute its posterior.
+
+        A trial, of which only the predictions are compared with data, needs fewer digits.
+        """
         best, near = WindowComparison(problem).finish()
-        found, best = _solve(problem, best, near, CONVERGED)
+        start = None if near is None else near.mean
+        tolerance = TRIAL if is_trial else CONVERGED
+        found, best = _solve(problem, best, start, tolerance, approximate=is_trial)
         return cls(problem, best, _with_all_errors(problem, found, best))
 
     @classmethod

@@ -52,14 +52,14 @@ class WindowComparison:
         near = self._found[-1].mean if self._found else None
         self._found.append(solve_window(self._problem, one, near, COMPARABLE, approximate=True))
 
-    def finish(self) -> tuple[Observations, FloatArray | None]:
-        """Return the most informative rows and, if known, parameters near their solution."""
+    def finish(self) -> tuple[Observations, Posterior | None]:
+        """Return the most informative rows and, if they were solved, their posterior."""
         while not self.is_done:
             self.step()
         if not self._found:
             return self._candidates[0], None
         best = _most_informative(self._found, self._candidates, len(self._problem.parameters))
-        return self._candidates[best], self._found[best].mean
+        return self._candidates[best], self._found[best]
 
 
 class WindowSelector:

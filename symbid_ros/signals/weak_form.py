@@ -10,6 +10,7 @@ each differentiated channel is that of the quietest band of its spectrum. The re
 the rows is averaged over the same windows.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -141,9 +142,21 @@ class WindowedRows:
         return WindowedRows(mean, noise, self.slips, self.stamp)
 
 
+class AveragingRows(ABC):
+    """A ``RowBuilder`` that can also average rows, which may need no rows of single samples."""
+
+    @abstractmethod
+    def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
+        """Yield the rows of sensor samples."""
+
+    @abstractmethod
+    def averages(self, readings: SensorSamples, weights: Sequence[csr_array]) -> "list[Average]":
+        """Return averages over windows with weights (W, N) each."""
+
+
 @dataclass(frozen=True)
-class EquationRows:
-    """Builds rows in the robot's parameters, a ``RowBuilder`` that can also average them."""
+class EquationRows(AveragingRows):
+    """Builds rows in the robot's parameters."""
 
     parameters: ParameterSet
 
@@ -157,22 +170,16 @@ class EquationRows:
         """Whether averages need no rows of single samples, and take few milliseconds."""
         return has_linear_rows(self.parameters)
 
-    def averages(self, readings: SensorSamples, weights: Sequence[csr_array]) -> "list[_Average]":
+    def averages(self, readings: SensorSamples, weights: Sequence[csr_array]) -> "list[Average]":
         """Return averages over windows, without rows of single samples where that is possible."""
         parameters = self.parameters
         if not self.skips_samples:
-            return _averages(self(readings), weights)
+            return average(self(readings), weights)
         samples = self._samples(readings)
-        stacked = csr_array(vstack(weights))
-        K, y = averaged_equation_of_motion(parameters, samples, stacked)
-        _, n, p = K.shape
-        empty = Rows(np.empty((len(samples), n, 0)), y)
-        forces = _averages(iter([rows_that_hold(parameters, samples, empty)]), weights)
-        starts = np.cumsum([0, *(len(each.flat) for each in forces)])
-        return [
-            replace(one, flat=np.concatenate([part.reshape(-1, n * p), one.flat], 1), shape=(n, p))
-            for one, part in zip(forces, np.split(K, starts[1:-1]), strict=True)
-        ]
+        K, y = averaged_equation_of_motion(parameters, samples, csr_array(vstack(weights)))
+        empty = Rows(np.empty((*y.shape, 0)), y)
+        forces = average(iter([rows_that_hold(parameters, samples, empty)]), weights)
+        return extended(forces, K)
 
     def _samples(self, readings: SensorSamples) -> Samples:
         parameters = self.parameters
@@ -261,6 +268,7 @@ def windowed_rows(
     *,
     full_rate: bool = False,
     first: int | None = None,
+    shortest: float = WINDOWS[0],
 ) -> Iterator[tuple[WindowedRows, ...]]:
     """Yield a segment's rows block by block, for each window length.
 
@@ -280,9 +288,12 @@ def windowed_rows(
     first : int, optional
         First stamp of the log, ns: noise is replayed in :func:`represented_blocks`. By default it
         is replayed in all.
+    shortest : float
+        Length of the shortest windows, s, for which the rate of the rows suffices.
     """
+    build_rows = partial(block_rows, full_rate=full_rate, first=first, shortest=shortest)
     for block in cut_into_blocks(segment):
-        yield block_rows(block, build, windows, noisy_channels, full_rate=full_rate, first=first)
+        yield build_rows(block, build, windows, noisy_channels)
 
 
 def cut_into_blocks(segment: Segment) -> Iterator[Segment]:
@@ -303,10 +314,11 @@ def block_rows(
     *,
     full_rate: bool = False,
     first: int | None = None,
+    shortest: float = WINDOWS[0],
 ) -> tuple[WindowedRows, ...]:
     """Return the rows of a block, for each window length; see :func:`windowed_rows`."""
     low_pass, edge = prefilter(block.rate)
-    decimator = _decimator(block.rate, low_pass, edge, min(windows))
+    decimator = _decimator(block.rate, low_pass, edge, min(shortest, *windows))
 
     def samples(of: Segment, similar: tuple[Segment, SensorSamples] | None) -> SensorSamples:
         return smoothed(of, low_pass, edge) if full_rate else decimated(of, decimator, similar)
@@ -315,7 +327,7 @@ def block_rows(
     centres = _centres(block.stamp[-1 - edge] - block.stamp[edge], windows)
     weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
     mean = _averages_of(build, readings, weights)
-    noisy: Sequence[_Average | None] = [None] * len(mean)
+    noisy: Sequence[Average | None] = [None] * len(mean)
     represented = 1
     if first is not None:
         length = block_length(block.rate)
@@ -349,9 +361,8 @@ def represented_blocks(index: int) -> int:
     return size if place == int(size * (group * np.sqrt(2) % 1)) else 0
 
 
-def _decimator(rate: float, low_pass: LowPass, edge: int, window: float) -> Decimator:
-    """Return what filters signals and reduces their rate as far as the low-pass allows."""
-    shortest = min(window, ALL_WINDOWS[0])
+def _decimator(rate: float, low_pass: LowPass, edge: int, shortest: float) -> Decimator:
+    """Return what filters signals and reduces their rate as far as low-pass and windows allow."""
     stride = decimation_stride(rate, low_pass.cutoff, shortest)
     # The main lobe of a Hann window's spectrum ends at two over its length.
     return Decimator(rate, stride, low_pass, 2 / shortest, edge)
@@ -415,62 +426,69 @@ def _hann(readings: SensorSamples, centres: FloatArray, length: float) -> csr_ar
 
 
 @dataclass(frozen=True)
-class _Average:
-    """Sums over windows: flat [K y] (W, n p + n), and shares of weight that is valid or slips."""
+class Average:
+    """Sums over windows: K (W, n, p), y (W, n), and shares of weight that is valid or slips."""
 
-    flat: FloatArray
+    K: FloatArray
+    y: FloatArray
     valid: FloatArray
     slips: FloatArray | None
     combined: CombinedCoordinates | None
-    shape: tuple[int, int]
+
+
+def extended(averages: Sequence[Average], K: FloatArray) -> list[Average]:
+    """Return averages with more columns K (ΣW, n, p), one after another, before their own."""
+    starts = np.cumsum([len(one.y) for one in averages])[:-1]
+    return [
+        replace(one, K=np.concatenate([part, one.K], axis=2) if one.K.shape[2] else part)
+        for one, part in zip(averages, np.split(K, starts), strict=True)
+    ]
 
 
 def _averages_of(
     build: RowBuilder, readings: SensorSamples, weights: Sequence[csr_array]
-) -> list[_Average]:
-    if isinstance(build, EquationRows):
+) -> list[Average]:
+    if isinstance(build, AveragingRows):
         return build.averages(readings, weights)
-    return _averages(build(readings), weights)
+    return average(build(readings), weights)
 
 
-def _averages(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> list[_Average]:
-    sums: list[_Average] = []
+def average(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> list[Average]:
+    """Return the averages of rows over windows with weights (W, N) each."""
+    sums: list[Average] = []
     start = 0
     for part in parts:
         count, n, p = part.rows.K.shape
-        flat = np.concatenate([part.rows.K.reshape(count, n * p), part.rows.y], axis=1)
         columns = slice(start, start + count)
         terms = []
         for weight in weights:
             some = weight[:, columns]
             slips = None if part.slips is None else some @ part.slips
             combined = None if part.combined is None else part.combined.averaged(some)
-            terms.append(_Average(some @ flat, some @ part.valid, slips, combined, (n, p)))
+            shape = some.shape[0], n, p
+            K = (some @ part.rows.K.reshape(count, n * p)).reshape(shape) if p else np.empty(shape)
+            terms.append(Average(K, some @ part.rows.y, some @ part.valid, slips, combined))
         sums = terms if not sums else [_add(a, b) for a, b in zip(sums, terms, strict=True)]
         start += count
     return sums
 
 
-def _add(a: _Average, b: _Average) -> _Average:
+def _add(a: Average, b: Average) -> Average:
     slips = None if a.slips is None or b.slips is None else a.slips + b.slips
     combined = None if a.combined is None or b.combined is None else a.combined + b.combined
-    return _Average(a.flat + b.flat, a.valid + b.valid, slips, combined, a.shape)
+    return Average(a.K + b.K, a.y + b.y, a.valid + b.valid, slips, combined)
 
 
 def _windowed_rows_of(
-    mean: _Average, noisy: _Average | None, stamp: IntArray, represented: int
+    mean: Average, noisy: Average | None, stamp: IntArray, represented: int
 ) -> WindowedRows:
-    n, p = mean.shape
     if mean.combined is not None:
         valid, slips = mean.combined.valid()
     else:
         valid = mean.valid > SLIPPING
         slips = None if mean.slips is None else (mean.slips > SLIPPING) & valid
-
-    def rows(flat: FloatArray) -> Rows:
-        return Rows(flat[:, : n * p].reshape(-1, n, p), flat[:, n * p :]).masked(valid)
-
     noise = None
     if noisy is not None:
-        noise = rows(np.sqrt(represented) * (noisy.flat - mean.flat))
-    return WindowedRows(rows(mean.flat), noise, valid, stamp, slips)
+        scale = np.sqrt(represented)
+        noise = Rows(scale * (noisy.K - mean.K), scale * (noisy.y - mean.y)).masked(valid)
+    return WindowedRows(Rows(mean.K, mean.y).masked(valid), noise, valid, stamp, slips)

@@ -6,17 +6,20 @@ import numpy as np
 import pytest
 from analytic_log import analytic_samples, readings_of
 from random_robots import random_robot
+from scipy.signal import savgol_filter
+from scipy.sparse import csr_array
 
 from symbid_ros.diagnosis.gain_rows import (
     CoordinateRows,
     GainLayout,
-    gain_rows,
+    GainRows,
     specific_force_jacobian,
 )
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_samples import at_base
+from symbid_ros.signals.weak_form import average
 
 COUNT = 40
 IMUS = ("imu_link", "link_2")
@@ -113,6 +116,7 @@ def late(readings, names, index=None):
     for name in names:
         values = getattr(readings, name)
         slope = np.gradient(values, time, axis=0)
+        slope[2:-2] = savgol_filter(values, 5, 4, deriv=1, delta=time[1], axis=0)[2:-2]
         arrays[name] = values.copy()
         if index is None:
             arrays[name] += 1e-3 * slope
@@ -198,7 +202,7 @@ def test_rows_are_built_in_chunks_and_close_with_gains_of_one(case, monkeypatch)
     parameters, readings, layout = case
     monkeypatch.setattr("symbid_ros.diagnosis.gain_rows.CHUNK", 17)
     readings.effort[3, 2] = np.nan
-    parts = list(gain_rows(parameters, layout)(readings))
+    parts = list(GainRows(parameters, layout)(readings))
     readings.effort[3, 2] = 0.0
     assert [len(part.stamp) for part in parts] == [17, 17, 6]
     valid = np.concatenate([part.valid for part in parts])
@@ -240,3 +244,18 @@ def test_factors_hold_the_moments_of_all_rows():
     assert factor.shape == (7, 7)
     empty = CoordinateRows(("a",), ("Nm",), structure[:1])
     np.testing.assert_array_equal(empty.target_squares, [0])
+
+
+def test_averages_over_windows_need_no_rows_of_single_samples(case):
+    parameters, readings, layout = case
+    build = GainRows(parameters, layout)
+    weights = [csr_array(np.random.default_rng(1).random((3, len(readings))))]
+    weights += [weights[0][:2], weights[0][:0]]  # the last part is too short for a window
+    for found, expected in zip(
+        build.averages(readings, weights), average(build(readings), weights), strict=True
+    ):
+        assert found.K.shape == expected.K.shape
+        scale = np.abs(expected.K).max(initial=0.0)
+        np.testing.assert_allclose(found.K, expected.K, atol=1e-12 * scale)
+        np.testing.assert_allclose(found.y, expected.y)
+        np.testing.assert_allclose(found.valid, expected.valid)

@@ -10,7 +10,6 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
-from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.base import TypesysError
 
@@ -128,6 +127,8 @@ def parse_qos_profiles(topic: str, text: str) -> tuple[OfferedQos, ...]:
     ValueError
         When the text is not a list of profiles.
     """
+    from rosbags.rosbag2.metadata import parse_qos  # noqa: PLC0415 - loads slowly
+
     try:
         check_limit("a quality of service", len(text), MAX_QOS)
         profiles = parse_qos(parse_yaml(text, MAX_YAML_NODES) or [])
