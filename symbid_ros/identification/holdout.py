@@ -72,15 +72,12 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
         report("holding out the end of the log")
         try:
             checked, forces = _hold_out(problem, found.window, log.begin)
-            if checked.advice in NOT_BETTER and problem.options.is_empirical:
-                kept = problem.with_prior(problem.prior, replace(problem.options, keep_prior=True))
-                solved = kept.solve()
-                again, predicted = _hold_out(kept, solved.window, log.begin)
-                if RELEVANT * _error(again) < _error(checked):
-                    found = _remarked(solved, PRIOR_KEPT.format(checked.summary))
-                    problem, checked, forces = kept, again, predicted
         except SymbidError as error:
             checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {error}")
+        if checked.advice in NOT_BETTER and problem.options.is_empirical:
+            better = _with_kept_prior(problem, checked, log.begin)
+            if better is not None:
+                problem, found, checked, forces = better
     found = problem.with_provenance(explained(problem, found))
     if forces is None:
         forces = _predict_end(problem, found, log.begin)
@@ -92,13 +89,22 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
     return problem, found
 
 
-def _remarked(found: Identification, remark: str) -> Identification:
-    remarks = (*found.estimate.remarks, remark)
-    return replace(found, estimate=replace(found.estimate, remarks=remarks))
-
-
-def _error(checked: HoldOut) -> float:
-    return np.inf if checked.percent_after is None else checked.percent_after
+def _with_kept_prior(
+    problem: LoadedProblem, before: HoldOut, begin: int
+) -> tuple[LoadedProblem, Identification, HoldOut, ForceSeries | None] | None:
+    """Identify with the stated prior; None unless that predicts the end of the log better."""
+    kept = problem.with_prior(problem.prior, replace(problem.options, keep_prior=True))
+    try:
+        found = kept.solve()
+        checked, forces = _hold_out(kept, found.window, begin)
+    except SymbidError:
+        return None
+    errors = checked.percent_after, before.percent_after
+    if errors[0] is None or errors[1] is None or RELEVANT * errors[0] >= errors[1]:
+        return None
+    remarks = (*found.estimate.remarks, PRIOR_KEPT.format(before.summary))
+    found = replace(found, estimate=replace(found.estimate, remarks=remarks))
+    return kept, found, checked, forces
 
 
 def check_holdout(problem: LoadedProblem, window: float) -> HoldOut:
