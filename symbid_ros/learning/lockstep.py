@@ -1,6 +1,6 @@
 """A robot, its balance controller and its identifier in one process and in simulated time."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +28,7 @@ from symbid_ros.simulation.standing_controller import StandingController
 
 PERIOD = 1e-3  # s, of simulator and controller
 SAMPLE_EVERY, ADVANCE_EVERY, ESTIMATE_EVERY = 20, 100, 1000  # periods
+COLLAPSE = 1.5  # s after a fall
 FELL, ATTACHED, REMOVED, CHANGED = "fell", "attached", "removed", "changed"
 
 
@@ -39,8 +40,8 @@ class LearningTask:
     ----------
     model : Path
         The controller's MJCF model, from which the robot differs.
-    seconds : float
-        Duration.
+    seconds : float or None
+        Duration; None for that of the moves.
     moves : int
         Number of moves of the centre of mass; the robot stands still after them.
     motion_seed, noise_seed : int
@@ -52,7 +53,7 @@ class LearningTask:
     """
 
     model: Path
-    seconds: float
+    seconds: float | None = None
     moves: int = 40
     motion_seed: int = 0
     noise_seed: int = 0
@@ -88,6 +89,8 @@ class LearningRecord:
         Drive torques, and those of the model without feedback, Nm.
     posture : (N, 7 + J) float64
         True position and orientation (wxyz) of the base, and joint positions.
+    joint_names : tuple of str
+        Their order.
     estimates : tuple of Uncertainty
         Empty if the robot does not learn.
     events : tuple of Event
@@ -99,6 +102,8 @@ class LearningRecord:
     applied: FloatArray
     feed_forward: FloatArray
     posture: FloatArray
+    joint_names: tuple[str, ...]
+    collapse: FloatArray
     estimates: tuple[RobotUncertainty, ...]
     events: tuple[Event, ...]
 
@@ -192,29 +197,34 @@ class LearningRun:
         self._estimates: list[RobotUncertainty] = []
         self._events: list[Event] = []
         self._channels: list[int] = []
+        self._collapsed: list[FloatArray] = []
+        self._torques = np.zeros(len(self._robot.drive_names))
 
-    def run(self, progress: Callable[[float], None] = lambda time: None) -> LearningRecord:
-        """Simulate until the end or the fall.
+    def run(self) -> LearningRecord:
+        """Simulate until the end or the fall."""
+        for _ in self.seconds():
+            pass
+        return self.record()
 
-        Parameters
-        ----------
-        progress : callable, optional
-            Called with the simulated time, s.
-        """
+    def seconds(self) -> Iterator[float]:
+        """Simulate, and yield the time (s) after each second, until the end or the fall."""
         with ExitStack() as stack:
             bag = None
             if self._bag is not None:
                 folder = stack.enter_context(create_folder(self._bag))
                 bag = stack.enter_context(BagWriter(folder))
-            if self._identifier is not None:
-                stack.callback(self._identifier.live.close)
-            if bag is not None:
                 for topic in (*self._sensors.names, *self._truth.names):
                     self._channels.append(bag.add_topic(topic.name, topic.msgtype))
+            if self._identifier is not None:
+                stack.callback(self._identifier.live.close)
             try:
-                self._simulate(bag, progress)
+                yield from self._simulate(bag)
             except RobotFailureError as failure:
                 self._events.append(Event(failure.time, FELL, failure.cause))
+                self._collapse()
+
+    def record(self) -> LearningRecord:
+        """Return the run up to now."""
         time, error, reach, applied, feed_forward, posture = map(
             np.array, zip(*self._samples, strict=True)
         )
@@ -225,18 +235,35 @@ class LearningRun:
             applied=applied,
             feed_forward=feed_forward,
             posture=posture,
+            joint_names=self._robot.joint_names,
+            collapse=np.array(self._collapsed).reshape(-1, posture.shape[1]),
             estimates=tuple(self._estimates),
             events=tuple(self._events),
         )
 
-    def _simulate(self, bag: BagWriter | None, progress: Callable[[float], None]) -> None:
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What has happened up to now."""
+        return tuple(self._events)
+
+    @property
+    def reach(self) -> float:
+        """Share of the size of the moves at present."""
+        return self._controller.reach
+
+    @property
+    def duration(self) -> float:
+        """Duration of the run if the robot does not fall, s."""
+        return self._task.seconds or self._controller.duration
+
+    def _simulate(self, bag: BagWriter | None) -> Iterator[float]:
         robot, controller = self._robot, self._controller
         instant = robot.step()
-        for step in range(round(self._task.seconds / PERIOD)):
+        for step in range(round(self.duration / PERIOD)):
             self._carry(step)
-            torques = controller.torques(instant)
+            self._torques = controller.torques(instant)
             if step % SAMPLE_EVERY == 0:
-                self._sample(step * PERIOD, instant, torques)
+                self._sample(step * PERIOD, instant, self._torques)
             self._publish(bag, instant)
             if self._identifier is not None:
                 if (step + 1) % ADVANCE_EVERY == 0:
@@ -244,8 +271,18 @@ class LearningRun:
                 if (step + 1) % ESTIMATE_EVERY == 0:
                     self._learn(self._identifier)
             if (step + 1) % ESTIMATE_EVERY == 0:
-                progress((step + 1) * PERIOD)
-            instant = robot.step(torques)
+                yield (step + 1) * PERIOD
+            instant = robot.step(self._torques)
+
+    def _collapse(self) -> None:
+        """Continue after a fall with the last torques, until the robot is half as high."""
+        height = self._samples[0][-1][2]
+        for step in range(round(COLLAPSE / PERIOD)):
+            position = self._robot.step_after_failure(self._torques)
+            if position[2] < height / 2:
+                return
+            if step % SAMPLE_EVERY == 0:
+                self._collapsed.append(position)
 
     def _carry(self, step: int) -> None:
         """Attach or remove the payload, from the next period on."""

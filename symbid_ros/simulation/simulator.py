@@ -194,6 +194,15 @@ class Simulator:
         self._steps_done += 1
         return self._sensors.measure(truth, self._steps_done * self.period_ns)
 
+    def step_after_failure(self, torques: FloatArray) -> FloatArray:
+        """Simulate one period after a failure, and return the true position (nq,) at its start.
+
+        Falls and end stops raise no errors. There are no sensor readings.
+        """
+        position = self._plant.observe().position
+        self._plant.advance(torques)
+        return position
+
     def _require_valid(self, torques: FloatArray) -> None:
         if not self._is_commanded:
             raise SimulationError(
