@@ -12,6 +12,7 @@ setup(
         PACKAGE: ["py.typed", "schemas/*.json"],
         f"{PACKAGE}.excitation": ["*.html", "*.css"],
         f"{PACKAGE}.report": ["*.html", "*.css", "*.js", "vendored/*"],
+        f"{PACKAGE}.learning": ["*.html"],
         f"{PACKAGE}.study": ["*.html", "*.css", "thesis/*.json"],
     },
     data_files=[

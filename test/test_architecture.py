@@ -29,6 +29,7 @@ SUBPACKAGES = (
     "report",
     "excitation",
     "study",
+    "learning",
     "ros",
     "cli",
 )

@@ -11,6 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from symbid_ros.atomic_write import clear_folder
+from symbid_ros.cli.learning_demo import SEED as LEARNING_SEED
+from symbid_ros.cli.learning_demo import demonstrate_learning
 from symbid_ros.cli.live import WebPort, start_page
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.simulation.options import SimulateOptions
@@ -29,7 +31,14 @@ def demo(
     percent: Annotated[
         float, typer.Option(min=1, max=99, help="Half-width of the prior, %.")
     ] = 25.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the prior and the noise.")] = 0,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Seed of the prior and the noise.",
+            show_default="0; with --learn 2, a prior with which the robot falls",
+        ),
+    ] = None,
     online: Annotated[
         bool,
         typer.Option("--online", help="Identify while the robot moves and show the estimate."),
@@ -42,6 +51,14 @@ def demo(
             "payload to a thigh during the motion.",
         ),
     ] = False,
+    learn: Annotated[
+        bool,
+        typer.Option(
+            "--learn",
+            help="Let a robot with a wrong model learn its own while it balances, beside one that "
+            "does not: in simulated time, without ROS.",
+        ),
+    ] = False,
     port: WebPort = 8377,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the folder of an earlier demo.")
@@ -50,15 +67,30 @@ def demo(
     """Simulate, publish, record and identify the Symbitron, and write a report."""
     from symbid_ros.package_paths import config_file
 
+    if learn and (online or web):
+        raise typer.BadParameter(
+            "with --online or --web it cannot be combined", param_hint="--learn"
+        )
     console = Console()
+    if seed is None:
+        seed = LEARNING_SEED if learn else 0
     prepare_folder(out, overwrite=overwrite)
     model = config_file("symbitron.xml")
     draw_demo_prior(out, model, percent, seed)
+    if learn:
+        demonstrate_learning(out, model, moves, percent, seed, console)
+        print_report(out, console)
+        return
     if web:
         demonstrate_payload(out, model, moves, seed, port, console)
         return
     demonstrate = demonstrate_online if online else demonstrate_offline
     demonstrate(out, model, moves, seed, console)
+    print_report(out, console)
+
+
+def print_report(out: Path, console: Console) -> None:
+    """Print where the report is."""
     console.print(f"\nThe report is [bold]{out}/report.html[/bold]; its inputs are in {out}/.")
 
 

@@ -11,6 +11,9 @@ from symbid_ros.model.inertia import is_consistent
 # Share of the deviations of the last model to which those of mass or first moments must have
 # fallen. Models whose differences are within their noise would otherwise follow each other forever.
 FALLEN = 0.8
+# Deviations of the whole robot's mass, as a share, and of its centre of mass, m, below which a
+# more certain model would change nothing that a controller notices.
+NEGLIGIBLE_MASS, NEGLIGIBLE_COM = 1e-3, 1e-3
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,11 @@ class CandidateModel:
         standard deviations.
     alarms : tuple of str
         What speaks against the estimate.
+    mass_std, com_std : float or None
+        Standard deviations of the mass of all links, kg, and of the robot's centre of mass (root
+        sum square of its coordinates), m, from the covariance of all parameters. None if only the
+        deviations of single parameters are known, which are larger: masses that the robot's motion
+        does not tell apart are uncertain, but their sum is not.
 
     Raises
     ------
@@ -37,6 +45,8 @@ class CandidateModel:
     phi: FloatArray
     std: FloatArray
     alarms: tuple[str, ...] = ()
+    mass_std: float | None = None
+    com_std: float | None = None
 
     def __post_init__(self) -> None:
         expected = (len(self.links), 10)
@@ -51,12 +61,17 @@ class CandidateModel:
 
     @property
     def uncertainty(self) -> FloatArray:
-        """Deviations (2,) of all masses, kg, and of all first moments, kg m, as root sum squares.
+        """Deviations (2,) on which balance and gravity torques depend.
 
-        Balance and gravity torques depend on these.
+        Those of the robot's mass, as a share of it, and of its centre of mass, m, at least as
+        large as negligible ones. If they are unknown, root sum squares over the links of those of
+        masses, kg, and of first moments, kg m.
         """
-        masses, moments = self.std[:, 0], self.std[:, 1:4]
-        return np.sqrt([np.sum(masses**2), np.sum(moments**2)])
+        if self.mass_std is None or self.com_std is None:
+            masses, moments = self.std[:, 0], self.std[:, 1:4]
+            return np.sqrt([np.sum(masses**2), np.sum(moments**2)])
+        share = self.mass_std / float(np.sum(self.phi[:, 0]))
+        return np.maximum([share, self.com_std], [NEGLIGIBLE_MASS, NEGLIGIBLE_COM])
 
 
 class ModelGate:

@@ -65,11 +65,15 @@ class Pace:
         is processed without the missing messages.
     share : float
         Share of a core for building the rows of complete blocks.
+    in_step : bool
+        Whether to wait for these rows. Estimates then depend on the messages alone, not on the
+        speed of the computer.
     """
 
     memory: float = np.inf
     lag: float = 0.5
     share: float = 0.15
+    in_step: bool = False
 
 
 @dataclass(frozen=True)
@@ -220,7 +224,8 @@ class OnlineIdentification:
         """Queue complete blocks and add the rows of processed ones."""
         for span in self._scheduler.complete_blocks():
             self._submit(span)
-        self._add_processed(self._worker.take_finished())
+        worker = self._worker
+        self._add_processed(worker.finish() if self._pace.in_step else worker.take_finished())
 
     def solve(self, *, exactly: bool = False) -> OnlineEstimate | None:
         """Return the estimate from the messages so far; None if there are too few.

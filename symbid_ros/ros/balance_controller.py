@@ -23,6 +23,7 @@ from symbid_ros.ros.process import construct, run_node
 from symbid_ros.ros.raw_subscription import DecodedMessage, DecodedSubscription, wait_for_any
 from symbid_ros.ros.reporting import OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.simulation.plant import RobotFailureError
+from symbid_ros.simulation.reach import LEAST_REACH
 from symbid_ros.simulation.sensors import BalanceFeedback
 from symbid_ros.simulation.standing_controller import StandingController
 
@@ -45,7 +46,8 @@ PARAMETERS = (
         "model_source",
         "file",
         "Where the robot's inertias come from: the file alone, or later also the topics of the "
-        "node identifier, whose models are used when they can be trusted.",
+        "node identifier, whose models are used when they can be trusted; moves then begin small "
+        "and widen as the deviations of mass and centre of mass shrink.",
         choices=("file", "identifier"),
     ),
     Parameter(
@@ -194,16 +196,18 @@ class BalanceNode:
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
         model = Path(values["model"]) if values["model"] else None
+        learns = values["model_source"] == "identifier"
         self._controller = StandingController(
             values["scenario"],
             moves=values["moves"],
             motion_seed=values["motion_seed"],
             model_path=model,
+            reach=LEAST_REACH if learns else 1.0,
         )
         self._subscriber = FeedbackSubscriber(node, self._controller.joint_names)
         self._publisher = CommandPublisher(node, self._controller.drive_names)
         self._models: ModelSource | None = None
-        if values["model_source"] == "identifier":
+        if learns:
             self._models = ModelSource(node, self._controller, values["largest_torque_change"])
         # Measurements with and without an answer, and backward jumps of the clock.
         self._answers = {"answered": 0, "unanswered": 0, "restarts": 0}

@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from symbid_ros.learning.candidate import RobotUncertainty, robot_uncertainty
 from symbid_ros.messages.topics import Topic
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification
 from symbid_ros.online.live_streams import LiveStreams, TopicBuffer
@@ -141,7 +142,8 @@ class IdentifierDiagnostics:
             return
         newest = live.streams.joints.newest
         age = 0.0 if newest is None else (newest - outcome.until) * 1e-9
-        self._estimate = self._estimate_status(outcome, age, solve_time)
+        known = robot_uncertainty(outcome, live.posture())
+        self._estimate = self._estimate_status(outcome, known, age, solve_time)
         values = {"evidence": f"{live.evidence:.1f}"}
         if outcome.change is None:
             message = "no change" if live.can_tell_change else TOO_EARLY
@@ -158,7 +160,11 @@ class IdentifierDiagnostics:
             self._change = NodeStatus("change", WARN, str(outcome.change), values)
 
     def _estimate_status(
-        self, outcome: OnlineEstimate, age: float, solve_time: float
+        self,
+        outcome: OnlineEstimate,
+        known: RobotUncertainty | None,
+        age: float,
+        solve_time: float,
     ) -> NodeStatus:
         details = {
             "window": f"{outcome.window:g}",
@@ -166,6 +172,12 @@ class IdentifierDiagnostics:
             "data_time": f"{outcome.until * 1e-9:.3f}",
             "solve_time": f"{solve_time:.3f}",
         }
+        if known is not None:
+            details |= {
+                "mass": f"{known.mass:.4f}",
+                "mass/std": f"{known.mass_std:.6f}",
+                "com/std": f"{known.com_std:.6f}",
+            }
         return estimate_status(outcome.found.estimate, outcome.alarms, details)
 
     def update_streams(self, live: OnlineIdentification) -> dict[str, str] | None:

@@ -6,10 +6,15 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
-from symbid_ros.errors import SymbidError
-from symbid_ros.estimation.model_gate import CandidateModel, ModelGate
+from symbid_ros.estimation.model_gate import CandidateModel
+from symbid_ros.learning.model_update import ACCEPTED, WITHDRAWN, ModelUpdate
 from symbid_ros.ros.endpoints import latched_qos, reliable_qos
-from symbid_ros.ros.monitor_messages import RobotEstimate, read_estimate
+from symbid_ros.ros.monitor_messages import (
+    IdentifierStatus,
+    RobotEstimate,
+    read_estimate,
+    read_status,
+)
 from symbid_ros.ros.reporting import OK, WARN, NodeStatus
 from symbid_ros.simulation.standing_controller import StandingController
 
@@ -20,9 +25,10 @@ TRUSTED_PARTS = "estimate", "change"
 
 @dataclass(frozen=True)
 class _News:
-    """An estimate and the alarms that were published after it."""
+    """An estimate, and the status and alarms that were published after it."""
 
     estimate: RobotEstimate
+    known: IdentifierStatus
     alarms: tuple[str, ...]
 
 
@@ -43,14 +49,11 @@ class ModelSource:
 
     def __init__(self, node: Node, controller: StandingController, largest_change: float) -> None:
         self._node, self._controller = node, controller
-        self._gate = ModelGate(largest_change)
+        self._models = ModelUpdate(controller, largest_change)
         self._identifier: str = node.resolve_topic_name("identifier")
         self._estimate: RobotEstimate | None = None
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._news: _News | None = None
-        self._counts = {"accepted": 0, "refused": 0, "withdrawn": 0}
-        # Which model is used, which one was used before, and why the newest one is not.
-        self._used = self._before = self._refusal = ""
         node.create_subscription(
             DiagnosticArray, f"{self._identifier}/estimate", self._on_estimate, latched_qos()
         )
@@ -63,64 +66,45 @@ class ModelSource:
         news, self._news = self._news, None
         if news is None or not news.estimate.links:
             return
-        logger, controller = self._node.get_logger(), self._controller
-        links = news.estimate.links
+        links, known = news.estimate.links, news.known
         candidate = CandidateModel(
             tuple(link.name for link in links),
             np.array([link.phi for link in links]),
             np.array([link.std for link in links]),
             news.alarms,
+            mass_std=_finite(known.number("mass/std")),
+            com_std=_finite(known.number("com/std")),
         )
-        is_news = self._gate.is_news(candidate)
-        if controller.is_changing:
-            if news.alarms and self._used != self._before:
-                controller.fall_back()
-                self._counts["withdrawn"] += 1
-                self._used = self._before
-                logger.warning(f"the model is withdrawn: {news.alarms[0]}")
+        label = f"identified until {news.estimate.stamp * 1e-9:.3f} s"
+        decision = self._models.judge(candidate, label)
+        if decision is None:
             return
-        if not is_news:
-            self._refusal = ""
-            return
-        reason = self._adopt(candidate)
-        if not reason:
-            self._counts["accepted"] += 1
-            self._before = self._used
-            self._used = f"identified until {news.estimate.stamp * 1e-9:.3f} s"
-            logger.info(f"model {self._used} replaces the present one")
-        elif reason != self._refusal:
-            self._counts["refused"] += 1
-            logger.warning(f"the identified model is not used: {reason}")
-        self._refusal = reason
+        logger = self._node.get_logger()
+        if decision.kind == ACCEPTED:
+            logger.info(
+                f"model {decision.model} replaces the present one; moves have "
+                f"{100 * self._controller.wanted_reach:.0f} % of their size"
+            )
+        elif decision.kind == WITHDRAWN:
+            logger.warning(f"the model is withdrawn: {decision.reason}")
+        else:
+            logger.warning(f"the identified model is not used: {decision.reason}")
 
     def status(self) -> NodeStatus:
         """Return which model the controller uses."""
-        message = self._used or "model of the file"
-        if self._refusal:
-            message += f"; the newest is not used: {self._refusal}"
-        return NodeStatus("model", WARN if self._refusal else OK, message, dict(self._counts))
-
-    def _adopt(self, candidate: CandidateModel) -> str:
-        """Let the controller use a model; return why not if it must not."""
-        controller = self._controller
-        fault = self._gate.fault(candidate)
-        if fault:
-            return fault
-        try:
-            proposal = controller.propose(dict(zip(candidate.links, candidate.phi, strict=True)))
-        except SymbidError as error:
-            return str(error)
-        reason = self._gate.refusal(candidate, proposal.torque_change, controller.torque_limits)
-        if not reason:
-            controller.adopt(proposal)
-        return reason
+        models = self._models
+        message = models.used or "model of the file"
+        if models.refusal:
+            message += f"; the newest is not used: {models.refusal}"
+        values = {**models.counts, "reach": f"{self._controller.wanted_reach:.2f}"}
+        return NodeStatus("model", WARN if models.refusal else OK, message, values)
 
     def _on_estimate(self, message: DiagnosticArray) -> None:
         self._estimate = read_estimate(message)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        parts = {f"{self._identifier}: {part}" for part in TRUSTED_PARTS}
-        found = {status.name: status for status in message.status if status.name in parts}
+        names = {f"{self._identifier}: {part}" for part in TRUSTED_PARTS}
+        found = {status.name: status for status in message.status if status.name in names}
         self._statuses.update(found)
         estimate, self._estimate = self._estimate, None if found else self._estimate
         if not found or estimate is None:
@@ -130,4 +114,9 @@ class ModelSource:
             for status in self._statuses.values()
             if status.level != DiagnosticStatus.OK
         )
-        self._news = _News(estimate, alarms)
+        parts = {name.rpartition(": ")[2]: status for name, status in self._statuses.items()}
+        self._news = _News(estimate, read_status(parts), alarms)
+
+
+def _finite(number: float) -> float | None:
+    return number if np.isfinite(number) else None

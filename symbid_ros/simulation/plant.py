@@ -138,6 +138,11 @@ def resting_data(model: mujoco.MjModel, position: FloatArray) -> mujoco.MjData:
     return data
 
 
+def com_in_pose(model: mujoco.MjModel, position: FloatArray) -> FloatArray:
+    """Return the centre of mass (3,) of a robot with a free base in a pose (nq,), m."""
+    return np.array(resting_data(model, position).subtree_com[model.jnt_bodyid[0]])
+
+
 class Plant:
     """A floating-base robot in MuJoCo, advanced in two half steps.
 

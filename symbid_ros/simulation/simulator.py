@@ -13,7 +13,7 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.body_inertia import Payload, link_index
 from symbid_ros.simulation.modified_robot import modified_plant
 from symbid_ros.simulation.options import SimulateOptions
-from symbid_ros.simulation.plant import Plant, load_model
+from symbid_ros.simulation.plant import Plant, com_in_pose, load_model
 from symbid_ros.simulation.scenario import (
     SCENARIOS,
     SOLES,
@@ -114,6 +114,7 @@ class Simulator:
         self._plant = plant
         motion = SCENARIOS[options.scenario](plant, options.moves, options.motion_seed)
         self._run = ScenarioRun(plant, motion)
+        self._initial_pose: FloatArray = plant.data.qpos.copy()
         self.base_frame = plant.base_frame
         self.imu_frame = "imu_link"
         feet = [WrenchSensor(sole.replace("_sole", "_foot/wrench"), sole) for sole in SOLES]
@@ -142,6 +143,15 @@ class Simulator:
     def robot(self) -> str:
         """MJCF of the simulated robot, with its friction and lengths, without payload."""
         return self._plant.text
+
+    @property
+    def com(self) -> FloatArray:
+        """(3,) true centre of mass in the world at the newest instant, m."""
+        return self._plant.com
+
+    def initial_com(self) -> FloatArray:
+        """Return the true centre of mass (3,) in the initial pose, with the present payload, m."""
+        return com_in_pose(self._plant.model, self._initial_pose)
 
     def attach(self, payload: Payload | None) -> None:
         """Attach a payload from the next period on, in place of any other; None removes it.
@@ -183,6 +193,15 @@ class Simulator:
         truth = self._run.advance(self._steps_done, torques)
         self._steps_done += 1
         return self._sensors.measure(truth, self._steps_done * self.period_ns)
+
+    def step_after_failure(self, torques: FloatArray) -> FloatArray:
+        """Simulate one period after a failure, and return the true position (nq,) at its start.
+
+        Falls and end stops raise no errors. There are no sensor readings.
+        """
+        position = self._plant.observe().position
+        self._plant.advance(torques)
+        return position
 
     def _require_valid(self, torques: FloatArray) -> None:
         if not self._is_commanded:

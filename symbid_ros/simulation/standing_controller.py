@@ -11,9 +11,10 @@ from scipy.linalg import lapack
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.controller import BalanceController, BalanceGains, Reference
+from symbid_ros.simulation.controller import BalanceController, BalanceGains, BalanceTask
 from symbid_ros.simulation.controller_model import replace_inertias
-from symbid_ros.simulation.plant import Plant, State, site_ids
+from symbid_ros.simulation.plant import Plant, State, com_in_pose, site_ids
+from symbid_ros.simulation.reach import Reach, ScaledMotion
 from symbid_ros.simulation.scenario import SOLES, STANDING, draw_standing_task, require_seed
 from symbid_ros.simulation.sensors import SCALAR_FIRST, BalanceFeedback
 
@@ -45,23 +46,6 @@ class ModelProposal:
     model: mujoco.MjModel
     controller: BalanceController
     torque_change: FloatArray
-
-
-@dataclass(frozen=True)
-class _Moved:
-    """A reference motion elsewhere."""
-
-    motion: Reference
-    offset: FloatArray
-
-    @property
-    def duration(self) -> float:
-        return self.motion.duration
-
-    def at(self, time: float) -> FloatArray:
-        moved = np.array(self.motion.at(time))
-        moved[0] += self.offset
-        return moved
 
 
 @dataclass(frozen=True)
@@ -184,6 +168,8 @@ class StandingController:
         Seed of the random moves.
     model_path : Path or None
         The controller's model of the robot as MJCF; None for config/symbitron.xml.
+    reach : float
+        Share of the size of the moves at first.
 
     Attributes
     ----------
@@ -202,6 +188,7 @@ class StandingController:
         moves: int = 20,
         motion_seed: int = 0,
         model_path: Path | None = None,
+        reach: float = 1.0,
     ) -> None:
         if scenario not in STANDING:
             raise SimulationError(
@@ -216,8 +203,11 @@ class StandingController:
         self._model = robot.model
         self._state: State | None = None
         self._transition: _Transition | None = None
+        self._reach = Reach(reach)
         self._task = draw_standing_task(robot, moves, motion_seed, *STANDING[scenario])
         self.duration = self._task.duration
+        self._moves = ScaledMotion(self._task.com, np.zeros(3), self._reach.at)
+        self._feed_forward: tuple[mujoco.MjModel, BalanceController] | None = None
         self._restart()
 
     def _restart(self) -> None:
@@ -225,6 +215,7 @@ class StandingController:
         self._odometry = LegOdometry(robot.model, robot.data.qpos, SOLES)
         if self._transition is not None:
             self._model, self._transition = self._transition.model, None
+        self._reach.restart()
         # A new controller, as the QP of the old one would start from its last solution.
         self._controller = self._controller_of(self._model)
         self._state = None
@@ -235,22 +226,61 @@ class StandingController:
         Models differ by centimetres in where that is. With a common reference the robot would
         stand elsewhere with each of them.
         """
-        offset = self._initial_com(model) - self._initial_com(self._robot.model)
-        task = replace(self._task, com=_Moved(self._task.com, offset))
-        return BalanceController(model, task, SOLES, BalanceGains())
+        return BalanceController(model, self._task_of(model), SOLES, BalanceGains())
 
-    def _initial_com(self, model: mujoco.MjModel) -> FloatArray:
-        """Return a model's centre of mass (3,) in the initial pose, m."""
-        data = mujoco.MjData(model)
-        data.qpos[:] = self._robot.data.qpos
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        return np.array(data.subtree_com[model.jnt_bodyid[0]])
+    def _task_of(self, model: mujoco.MjModel) -> BalanceTask:
+        """Return the moves within reach, from the model's centre of mass in the initial pose."""
+        pose, robot = self._robot.data.qpos, self._robot.model
+        offset = com_in_pose(model, pose) - com_in_pose(robot, pose)
+        return replace(
+            self._task,
+            com=ScaledMotion(self._task.com, offset, self._reach.at),
+            turns=ScaledMotion(self._task.turns, np.zeros(3), self._reach.at),
+        )
 
     @property
     def torque_limits(self) -> FloatArray:
         """Largest torques (A,) of the drives, Nm."""
         return np.asarray(np.abs(self._limits).min(axis=1))
+
+    @property
+    def reach(self) -> float:
+        """Share of the size of the moves at the newest readings."""
+        return self._reach.at(self._time)[0]
+
+    @property
+    def wanted_reach(self) -> float:
+        """Share of the size of the moves that was last asked for."""
+        return self._reach.wanted
+
+    def move_within(self, reach: float) -> None:
+        """Let moves go up to a share of their size, within some seconds and without a jump."""
+        self._reach.change(reach, self._time)
+
+    @property
+    def displacement(self) -> FloatArray:
+        """Distance (3,) of the reference centre of mass from its start, m."""
+        return self._moves.displacement(self._time)
+
+    def feed_forward(self) -> FloatArray:
+        """Return the torques (A,) without feedback at the newest readings, Nm.
+
+        They are those of the present model; while another one is replacing it, of the former one.
+
+        Raises
+        ------
+        RobotFailureError
+            When there are none.
+        SimulationError
+            Before the first readings.
+        """
+        if self._state is None:
+            raise SimulationError("no readings yet; call `torques` first", "E611")
+        if self._feed_forward is None or self._feed_forward[0] is not self._model:
+            task, gains = self._task_of(self._model), BalanceGains().feed_forward
+            controller = BalanceController(self._model, task, SOLES, gains)
+            self._feed_forward = self._model, controller
+        return self._feed_forward[1].torques(self._state)
 
     @property
     def is_changing(self) -> bool:

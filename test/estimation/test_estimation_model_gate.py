@@ -38,6 +38,19 @@ def test_a_possible_model_is_accepted_and_then_only_better_ones_are_news(candida
     assert not gate.is_news(replace(candidate, std=std))
 
 
+def test_the_whole_robot_counts_where_its_deviations_are_known(candidate):
+    """Masses that are not told apart are uncertain, their sum is not."""
+    gate, mass = ModelGate(), candidate.phi[:, 0].sum()
+    known = replace(candidate, mass_std=0.05 * mass, com_std=0.02)
+    assert refusal(gate, known) == ""
+    assert not gate.is_news(replace(known, std=0.1 * known.std))
+    assert gate.is_news(replace(known, std=2.0 * known.std, com_std=0.015))
+    assert not gate.is_news(replace(known, mass_std=0.06 * mass, com_std=0.015))
+    # Below what a controller notices, more certain models are no news.
+    assert refusal(gate, replace(known, mass_std=9e-4 * mass, com_std=1.1e-3)) == ""
+    assert not gate.is_news(replace(known, mass_std=1e-5 * mass, com_std=1e-6))
+
+
 def test_the_number_of_models_of_an_unchanged_robot_is_limited(candidate):
     """Deviations shrink with the root of time; models follow each other ever more seldom."""
     gate, accepted = ModelGate(), []
