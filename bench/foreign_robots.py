@@ -149,9 +149,7 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
     size = np.sqrt(np.mean(torque(plain(robot), motion) ** 2, axis=0))
     size = np.maximum(size, 0.05 * size.max())
     truth = with_friction(robot, friction.startswith("present"), size, rng)
-    limits = np.array([joint.effort for joint in truth.joints])
-    noise = setup.effort_noise * np.minimum(limits, LARGEST * size)
-    log = record(truth, motion, rng, noise)
+    log = record(truth, motion, size, rng, setup.effort_noise)
     model = inaccurate(truth, friction.endswith("stated"), size, seed, rng)
     model = with_placements(model, stated)
     terms = "viscous,coulomb,armature" if friction.startswith("present") else "none"
@@ -161,6 +159,7 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
     )
     other = move(robot, feet, rng, 20.0, setup.rate)
     true = torque(truth, other)
+    noise = effort_deviation(truth, size, setup.effort_noise)
     slips = np.abs(other.velocity) > SLIPS
     scale = np.sqrt(np.mean(true[slips] ** 2))
 
@@ -344,11 +343,13 @@ def torque(robot: sy.RobotModel, motion: Samples) -> FloatArray:
 def record(
     truth: sy.RobotModel,
     motion: Samples,
+    size: FloatArray,
     rng: np.random.Generator,
-    noise: FloatArray,
+    effort_noise: float = EFFORT,
 ) -> sy.Log:
-    """Return the log of a motion of the true robot; noise of efforts (J,) in Nm."""
+    """Return the noisy log of a motion of the true robot."""
     efforts = torque(truth, motion)
+    noise = effort_deviation(truth, size, effort_noise)
     imus, wrenches = {}, {}
     if truth.floating:
         read = np.hstack([motion.base_angular_velocity, motion.base_specific_force])
@@ -373,6 +374,12 @@ def record(
         imus=imus,
         wrenches=wrenches,
     )
+
+
+def effort_deviation(truth: sy.RobotModel, size: FloatArray, share: float) -> FloatArray:
+    """Return the standard deviation (J,) of the efforts' noise, Nm or N."""
+    limits = np.array([joint.effort for joint in truth.joints])
+    return share * np.minimum(limits, LARGEST * size)
 
 
 def placed(found: sy.Result) -> ParameterSet:
