@@ -220,7 +220,7 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _read(file: Path) -> bytes | None:
-    """Return what was written to a file; None if there is none, or it is damaged."""
+    """Return the content of a file, or None if the file is missing or damaged."""
     try:
         checksum, _, content = file.read_bytes().partition(b"\n")
     except OSError:

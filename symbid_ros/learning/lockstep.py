@@ -91,7 +91,9 @@ class LearningRecord:
         True position and orientation (wxyz) of the base, and joint positions.
     joint_names : tuple of str
         Their order.
-    estimates : tuple of Uncertainty
+    collapse : (M, 7 + J) float64
+        The same as ``posture`` after a fall, which is not sampled otherwise.
+    estimates : tuple of RobotUncertainty
         Empty if the robot does not learn.
     events : tuple of Event
     """

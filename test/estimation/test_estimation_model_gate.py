@@ -46,7 +46,7 @@ def test_the_whole_robot_counts_where_its_deviations_are_known(candidate):
     assert not gate.is_news(replace(known, std=0.1 * known.std))
     assert gate.is_news(replace(known, std=2.0 * known.std, com_std=0.015))
     assert not gate.is_news(replace(known, mass_std=0.06 * mass, com_std=0.015))
-    # Below what a controller notices, more certain models are no news.
+    # More certainty than a controller notices does not make a model worth taking over.
     assert refusal(gate, replace(known, mass_std=9e-4 * mass, com_std=1.1e-3)) == ""
     assert not gate.is_news(replace(known, mass_std=1e-5 * mass, com_std=1e-6))
 

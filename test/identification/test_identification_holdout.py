@@ -138,8 +138,8 @@ def test_the_stated_prior_is_kept_where_that_predicts_better(robot) -> None:
     found = identified(robot, log)
     assert found.estimate.provenance.options["keep_prior"]
     (remark,) = [one for one in found.estimate.remarks if "keep_prior" in one]
-    widened, kept = found.estimate.holdout, identified(robot, log, keep_prior=True).estimate
-    assert widened == kept.holdout
+    kept = identified(robot, log, keep_prior=True).estimate
+    assert found.estimate.holdout == kept.holdout
     np.testing.assert_array_equal(found.estimate.value, kept.value)
     assert f"→ {kept.holdout.percent_after:.3g} %" not in remark  # that of the wider prior
     # Without the check, the data decide.
