@@ -1,14 +1,22 @@
-"""Further public logs: an arm of 4.7 s, a mobile manipulator, and a robot with legs."""
+"""Further public logs: three arms, a mobile manipulator, and a robot with legs."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from real_data import FloatArray, RealData, RealLog, Recording, load_with_joints
+from real_data import (
+    FloatArray,
+    RealData,
+    RealLog,
+    Recording,
+    load_with_joints,
+    load_without,
+)
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
+from symbid_ros.signals.joint_clock import sampled_joints
 
 LEGS = ("FR", "FL", "RR", "RL")
 JUMP_FILES = ("joint_act.txt", "joint_des.txt", "torque.txt", "pos.txt")
@@ -27,6 +35,32 @@ def kinova(files: Sequence[Path]) -> RealLog:
     log = Recording("kinova", rows["Time"] / 1000.0, position, effort)
     robot = sy.load_model(urdf, base="fixed")
     return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), cutoff=10.0)
+
+
+def fer(files: Sequence[Path]) -> RealLog:
+    """Read a ROS 2 bag of a Franka at 30 Hz, at the times at which its samples were taken.
+
+    Every fiftieth message repeats the one before, because the arm was sampled at 29.4 Hz.
+    """
+    bag, urdf = files
+    log = _recording(bag, [f"fer_joint{index}" for index in range(1, 8)])
+    robot = load_without(urdf, "panda_hand_joint")
+    return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), cutoff=5.0)
+
+
+def ur10(files: Sequence[Path]) -> RealLog:
+    """Read a ROS 2 bag of a UR10 at 125 Hz; the efforts are motor currents in A."""
+    bag, urdf = files
+    robot = sy.load_model(urdf, base="fixed")
+    log = _recording(bag, robot.measured_joint_names)
+    return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), cutoff=10.0)
+
+
+def _recording(bag: Path, names: Sequence[str]) -> Recording:
+    joints = sampled_joints(sy.load_bag(bag).streams().joints).joints
+    order = [joints.names.index(name) for name in names]
+    time = 1e-9 * (joints.stamp - joints.stamp[0])
+    return Recording(bag.name, time, joints.position[:, order], joints.effort[:, order])
 
 
 def tiago(files: Sequence[Path]) -> RealLog:
@@ -124,6 +158,32 @@ FURTHER_DATA = {
             "798b384976d9e847f8896e29ac58b0581c1dbcb6bad2d5d8ed9474841b38e1f8",
         },
         kinova,
+        "The repository publishes no held-out error for this run.",
+    ),
+    "fer": RealData(
+        "Franka (FER), 7 joints, link-side torques, ROS 2 bag, 30 Hz, 24 s",
+        "https://github.com/unisa-acg/inverse-dynamics-solver commit 41e196d; panda.urdf: "
+        "https://github.com/Gepetto/example-robot-data (pip install example-robot-data==6.0.0)",
+        "BSD-3-Clause; panda.urdf: BSD",
+        {
+            "franka_inria_inverse_dynamics_solver/bagfiles/panda_exciting_trajectory.db3": ""
+            "6794c9dc89628d775bd77bfaee3ed73e0a7d7716401886e17e06d81ea3b7f299",
+            "panda.urdf": "63792d2679f22c4e41cda2c4d9d903644e628970ad0656b9eec8485113941555",
+        },
+        fer,
+        "The repository publishes no held-out error for this run.",
+    ),
+    "ur10": RealData(
+        "UR10, 6 joints, motor currents, ROS 2 bag, 125 Hz, 28 s",
+        "https://github.com/unisa-acg/inverse-dynamics-solver commit 41e196d; ur10_robot.urdf: "
+        "https://github.com/Gepetto/example-robot-data (pip install example-robot-data==6.0.0)",
+        "BSD-3-Clause; ur10_robot.urdf: BSD",
+        {
+            "ur10_inverse_dynamics_solver/bagfiles/ur10_exciting_trajectory.db3": ""
+            "14244fc39e9b42047039824f3c20ab984f9d1b28d5a67e9415cc1b3cc0ac3369",
+            "ur10_robot.urdf": "16e4d9c85f01d2533fa219d28e2e5a2ce93836be7afaf243b46be4ba76e0d4ea",
+        },
+        ur10,
         "The repository publishes no held-out error for this run.",
     ),
     "tiago": RealData(

@@ -35,6 +35,8 @@ class Kind(Enum):
     SATURATED = "saturated"
     ACCELEROMETER_GAIN = "accelerometer_gain"
     GYROSCOPE_GAIN = "gyroscope_gain"
+    COPY = "copy"
+    STAMP = "stamp"
     JITTER = "jitter"
     QUATERNION_NORM = "quaternion_norm"
     ORIENTATION = "orientation"

@@ -6,7 +6,8 @@ r_a r_b of two joints' errors over q̇_a q̇_b.
 
 The error r is the difference between the change of a position and its velocity's integral. A second
 check needs no velocities: r is then the difference of a position from those before and after it,
-which shows only jitter that changes from message to message.
+which shows only jitter that changes from message to message. Both judge the times that alignment
+uses: copies are dropped, and stamps are replaced where the samples are uniform.
 """
 
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.signals.decimation import low_passed
 from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.joint_clock import interpolation_error, sampled_joints
 from symbid_ros.signals.streams import JointStream
 
 # Smaller deviations, s, hardly change an estimate.
@@ -94,9 +96,18 @@ class JitterCheck:
     topic: str
     _samples: JitterMoments = field(default_factory=JitterMoments)
     _spans: JitterMoments = field(default_factory=JitterMoments)
+    _copies: int = 0
+    _messages: int = 0
+    _corrected: float = 0.0
 
     def add(self, joints: JointStream, during: tuple[int, int] = ALWAYS) -> None:
         """Add the messages stamped from the first up to the second, ns."""
+        clock = sampled_joints(joints)
+        recorded = slice(*np.searchsorted(joints.stamp, during).tolist())
+        self._copies += int(np.count_nonzero(clock.copies[recorded]))
+        self._messages += recorded.stop - recorded.start
+        self._corrected = max(self._corrected, clock.jitter)
+        joints = clock.joints
         inside = slice(*np.searchsorted(joints.stamp, during).tolist())
         stamp, position = joints.stamp[inside], joints.position[inside]
         if len(stamp) < FEWEST_MESSAGES:
@@ -114,7 +125,7 @@ class JitterCheck:
     def _add_samples(self, stamp: IntArray, position: FloatArray, rate: float) -> None:
         slow = low_passed(position, LowPass(min(MOTION, 0.2 * rate), passes=1), rate)
         velocity = np.gradient(slow, 1 / rate, axis=0)[2:-2]
-        error = _interpolation_error((stamp - stamp[0]) * 1e-9, position)
+        error = interpolation_error((stamp - stamp[0]) * 1e-9, position)
         for block in _blocks(len(error), rate):
             self._samples.add(error[block], velocity[block])
 
@@ -136,7 +147,37 @@ class JitterCheck:
             self._spans.add(error[block], mean[block])
 
     def findings(self) -> list[Finding]:
-        """Return a finding if the samples' times differ from their stamps."""
+        """Return what is wrong with the samples' times, and what was corrected."""
+        return [*self._corrections(), *self._errors()]
+
+    def _corrections(self) -> list[Finding]:
+        found = []
+        if self._copies:
+            found.append(
+                Finding.of(
+                    self.topic,
+                    Kind.COPY,
+                    f"{self._copies} of {self._messages} messages repeat all readings of the one "
+                    "before, although the joints move, and are dropped; publish each sample once",
+                    {"copies": self._copies, "messages": self._messages},
+                    Severity.WARNING,
+                )
+            )
+        if self._corrected > 0:
+            jitter = 1e3 * self._corrected
+            found.append(
+                Finding.of(
+                    self.topic,
+                    Kind.STAMP,
+                    f"the samples are uniform in time, their stamps are not: these are corrected, "
+                    f"by {jitter:.2g} ms (rms); stamp messages when they are sampled",
+                    {"jitter_ms": jitter},
+                    Severity.WARNING,
+                )
+            )
+        return found
+
+    def _errors(self) -> list[Finding]:
         for moments, times, how in (
             (self._spans, ENDS, "their velocities"),
             (self._samples, NEIGHBOURS, "those before and after"),
@@ -162,18 +203,3 @@ def _blocks(count: int, rate: float) -> Iterator[slice]:
     length = round(BLOCK * rate)
     for start in range(0, count - length + 1, length):
         yield slice(start, start + length)
-
-
-def _interpolation_error(time: FloatArray, position: FloatArray) -> FloatArray:
-    """Return positions (N, J) minus the cubic through their four neighbours, (N - 4, J)."""
-    count = len(time)
-    at = time[2 : count - 2]
-    places = [slice(shift, count - 4 + shift) for shift in (0, 1, 3, 4)]
-    error = position[2 : count - 2].copy()
-    for one, place in enumerate(places):
-        weight = np.ones(count - 4)
-        for other, elsewhere in enumerate(places):
-            if other != one:
-                weight *= (at - time[elsewhere]) / (time[place] - time[elsewhere])
-        error -= weight[:, None] * position[place]
-    return error

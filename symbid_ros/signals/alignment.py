@@ -17,6 +17,7 @@ from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
+from symbid_ros.signals.joint_clock import sampled_joints
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.splines import interpolating_spline
 from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
@@ -352,7 +353,7 @@ def _resampled(channel: _Matrix, grid: IntArray) -> FloatArray:
 
 def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, MeasuredEfforts]:
     """Return positions and efforts of the model's joints, and which efforts were measured."""
-    joints = streams.joints
+    joints = sampled_joints(streams.joints).joints
     topic = f"{streams.source}: {joints.topic}"
     columns = joint_columns(joints.names, model, topic)
     stamp, position = joints.stamp, model.apply_mimics(joints.position[:, columns])
