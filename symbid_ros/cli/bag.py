@@ -91,10 +91,11 @@ def doctor(
     """
     from symbid_ros.diagnosis.doctor import diagnose
     from symbid_ros.identification.contacts import with_contact_options
-    from symbid_ros.model.load import load_model
-    from symbid_ros.offline.bags import load_bag
+    from symbid_ros.offline.bags import load_bag, load_robot
 
-    loaded = None if model is None else with_contact_options(load_model(model, base), contacts)
+    loaded = None
+    if model is not None:
+        loaded = with_contact_options(load_robot(model, base, bags), contacts)
     with progress_shown():
         found = diagnose(load_bag(bags, loaded, log), loaded)
     print_verdict(found, as_json=as_json)

@@ -26,7 +26,10 @@ Robot = Annotated[
 ]
 BaseKind = Annotated[
     Base,
-    typer.Option(help="Base of a URDF; auto: floating, unless the root link is named 'world'."),
+    typer.Option(
+        help="Base of a URDF; auto: floating, unless the root link is named 'world', or an arm's "
+        "log has neither an IMU nor a pose."
+    ),
 ]
 
 CONTEXT = "context"  # parameter in which typer passes how options were given

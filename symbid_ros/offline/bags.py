@@ -1,11 +1,12 @@
 """Identification and evaluation of bags: logs, requests and ground truth."""
 
+import logging
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from symbid_ros.bags import bag_log, read_streams, read_truth
+from symbid_ros.bags import bag_log, count_messages, read_streams, read_truth
 from symbid_ros.choices import Base
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.provenance import Provenance, option_values
@@ -19,12 +20,15 @@ from symbid_ros.identification.rigid_sensors import RigidSensors
 from symbid_ros.identification.solver import Identification
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
-from symbid_ros.model.load import load_model
+from symbid_ros.messages.types import IMU, ODOMETRY, POSE
+from symbid_ros.model.load import is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
 from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import TimeRange
+
+logger = logging.getLogger(__name__)
 
 
 def load_bag(
@@ -55,6 +59,32 @@ def load_bag(
     paths = [bags] if isinstance(bags, str | Path) else bags
     topics, part = TopicSelection.of(options), TimeRange(options.start, options.end)
     return bag_log([Path(one) for one in paths], robot, topics, part)
+
+
+def load_robot(model: Path, base: Base, bags: Sequence[Path]) -> RobotModel:
+    """Load the model of the robot in bags.
+
+    The base of an arm, all of whose joints lie beyond a single one, counts as fixed if ``base`` is
+    auto and the bags have neither an IMU nor a pose: most URDF files of arms do not say so.
+
+    Raises
+    ------
+    ModelError, BagError
+        When the model or a bag cannot be read.
+    """
+    robot = load_model(model, base)
+    on_base = [joint for joint in robot.joints if joint.parent == 0]
+    if base != "auto" or not robot.floating or len(on_base) != 1 or is_mjcf(model):
+        return robot
+    if {topic.msgtype for topic in count_messages(bags)} & {IMU, POSE, ODOMETRY}:
+        return robot
+    logger.warning(
+        "%s: its base counts as fixed, because all its joints lie beyond %s and the log has "
+        "neither an IMU nor a pose; give `base` fixed to say so",
+        model,
+        on_base[0].name,
+    )
+    return load_model(model, "fixed")
 
 
 @dataclass(frozen=True)
@@ -88,7 +118,7 @@ class BagRequest:
         SymbidError
             When a file, the data or an option is invalid.
         """
-        robot = load_model(self.model, self.base)
+        robot = load_robot(self.model, self.base, self.bags)
         return load_problem(robot, load_bag(self.bags, robot, self.log), self.options, out)
 
     def attributed(

@@ -11,6 +11,7 @@ from symbid_ros.messages.topics import Topic, TopicSelection
 from symbid_ros.messages.types import BOOL, ODOMETRY, POSE, fill_stamp, odometry_layout, pose_layout
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
+from symbid_ros.offline.bags import load_robot
 from symbid_ros.offline.base_topics import contact_flags
 from symbid_ros.offline.robot_file import load_robot_file
 from symbid_ros.offline.robot_setup import inspect_robot
@@ -82,3 +83,38 @@ def test_the_odometry_of_a_wheeled_base_is_listed(tmp_path):
     assert setup.options["drive_topic"] == ["/odom"]
     log = bag_log([bag], arm, TopicSelection.of(setup.log_options))
     assert log.streams().driving == ()
+
+
+LINK = (
+    '<link name="{0}"><inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" '
+    'ixz="0" iyz="0"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/>'
+    '<axis xyz="0 1 0"/></joint>'
+)
+
+
+@pytest.mark.parametrize(
+    ("parents", "with_pose", "is_floating"),
+    [
+        (("foot", "arm"), False, False),
+        (("foot", "arm"), True, True),
+        (("foot", "foot"), False, True),  # two limbs, as of a robot that stands
+    ],
+)
+def test_the_base_of_an_arm_without_motion_sensors_counts_as_fixed(
+    parents, with_pose, is_floating, tmp_path, caplog
+):
+    links = "".join(LINK.format(name) for name in ("foot", "arm", "hand"))
+    joints = JOINT.format("first", parents[0], "arm") + JOINT.format("second", parents[1], "hand")
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    streams = random_streams(load_model(urdf, "fixed"), LogPlan(rate=100.0, count=100), 1)
+    records = pose_layout("map").records(len(streams.joints.stamp))
+    fill_stamp(records, streams.joints.stamp)
+    further = [("/mocap/pose", POSE, streams.joints.stamp, records)] if with_pose else []
+    bag = write_bag(streams, tmp_path / "bag", further)
+    assert load_robot(urdf, "auto", [bag]).floating == is_floating
+    assert ("its base counts as fixed" in caplog.text) != is_floating
+    assert load_robot(urdf, "floating", [bag]).floating
