@@ -16,6 +16,7 @@ from symbid_ros.estimation import posterior as production
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
 from symbid_ros.estimation.prior import default_prior
+from symbid_ros.estimation.prior_scales import RATIO_STD
 
 few = settings(max_examples=8, deadline=None)
 seeds = st.integers(0, 10**6)
@@ -231,7 +232,7 @@ def test_each_kind_of_error_gets_the_size_that_the_evidence_says(sizes):
     found = posterior(log.observations(), stated, empirical=True)
 
     def cost(logs):
-        ratio = (logs[0] - logs[1]) / production.RATIO_STD
+        ratio = (logs[0] - logs[1]) / RATIO_STD
         return -log_evidence(log, sized(logs), None, found.covariance, 1.0) + ratio**2 / 2
 
     best = minimize(cost, np.log(sizes), method="Nelder-Mead", options={"xatol": 1e-4})
