@@ -28,6 +28,11 @@ SUSPICIOUS_WHITENESS = 1.4
 # Largest share of a direction's apparent information that may be noise in the regressor.
 SUSPICIOUS_NOISE = 0.5
 
+NOTHING = (
+    "the data determined nothing, and all numbers are those of the prior: record more motion, or "
+    "name fewer joint terms, as Coulomb friction needs windows in which each joint slips"
+)
+
 
 @dataclass(frozen=True)
 class EstimatedQuantity:
@@ -196,7 +201,10 @@ def assess(
         prior_scale=posterior.prior_scale * posterior.chosen_scale,
         whiteness=whiteness,
         noise_share=posterior.noise_share,
-        alarms=alarms(posterior, whiteness, unexplained, measurements),
+        alarms=(
+            *(() if count else (NOTHING,)),
+            *alarms(posterior, whiteness, unexplained, measurements),
+        ),
         effective=known.effective,
         gain=known.gain,
         link_gain=known.link_gain,
