@@ -18,6 +18,7 @@ from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.stance_closure import Stance, closure_rows, find_stances
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import (
     COMPLIANCE,
@@ -169,7 +170,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     )
     mean, std = _prior_errors(errors, request, dataset.samples)
     prior = problem.prior.extended(errors.names, mean, std)
-    layout = RowLayout.of(parameters).extended(errors.names, errors.structure(parameters.model))
+    layout = error_layout(parameters, errors)
     p = len(parameters)
     point = LinearizationPoint(problem.prior.mean, mean)
     pseudo_measurements = _padded(problem.pseudo_measurements, len(errors))
@@ -219,6 +220,17 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
         calibrated_rows=build,
         remarks=remarks,
     )
+
+
+def error_layout(parameters: ParameterSet, errors: SensorErrors) -> RowLayout:
+    """Return the layout of the rows of a robot's parameters and its sensors' errors.
+
+    Parameters have no effect on some coordinates if joints are exactly vertical or parallel, as in
+    model files. They have if these joints are displaced.
+    """
+    some = np.random.default_rng(0).uniform(0.5, 1.0, len(errors)) * errors.std
+    general = RowLayout.of(errors.placed(parameters, some))
+    return general.extended(errors.names, errors.structure(parameters.model))
 
 
 def _prior_errors(

@@ -1,6 +1,7 @@
 """Sensor errors: the tare, their identification, and the alarms without it."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from foreign_bags import imu, joint_state, wrench, write_rosbags
 from random_robots import CONFIG, random_robot
 
 from symbid_ros.bags import bag_log
-from symbid_ros.choices import TYPICAL_ERRORS
+from symbid_ros.choices import KINEMATIC_ERRORS, TYPICAL_ERRORS
 from symbid_ros.errors import DataError, OptionError, SymbidError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
@@ -222,6 +223,32 @@ def test_sensors_of_any_tree_are_calibrated(seed, floating):
     told = after.std < 0.7 * found.prior.std
     assert told.sum() > 10
     assert np.sqrt(np.mean(z[told] ** 2)) < 1.8
+
+
+def test_placements_of_joints_that_the_model_file_holds_exactly_vertical():
+    """Gravity loads a turntable that is not quite level, which none of its parameters could do."""
+    rng = np.random.default_rng(5)
+    robot = random_robot(5, links=4, floating=False, wrench_frames=0)
+    axes = np.eye(3)[[2, 1, 1]]
+    joints = tuple(
+        replace(joint, rotation=np.eye(3), axis=axis, kind="revolute", parent=index)
+        for index, (joint, axis) in enumerate(zip(robot.joints, axes, strict=True))
+    )
+    stated = ParameterSet(replace(robot, joints=joints, gravity=np.array([0.0, 0.0, -9.81])))
+    errors = SensorErrors.of(KINEMATIC_ERRORS, stated.model, (), ())
+    theta = errors.std * rng.standard_normal(len(errors))
+    perfect = analytic_segment(errors.placed(stated, theta), 11.9, 5, start=0.05)
+    levels = {"position": 1e-5, "rate": 0.0, "acceleration": 0.0, "effort": 0.02, "wrench": 0.0}
+    log = Dataset("log", (noisy(perfect, rng, **levels),), None, ())
+    prior = draw_prior(stated, "percent", 25, 5)
+    problem = Problem((), stated, prior)
+    found = calibrate(problem, log, SensorErrorRequest(KINEMATIC_ERRORS, {}))
+    after = posterior(found.observations[-1], found.prior, count=len(stated))
+    error = after.mean - np.concatenate([stated.values, theta])
+    assert np.mean((error / after.std) ** 2) < 2.0
+    tilts = [errors.names.index(f"joint_0/joint_axis_{axis}") for axis in "xy"]
+    std = after.std[len(stated) :]
+    assert np.all(std[tilts] < 0.2 * errors.std[tilts])
 
 
 def test_sensors_without_noise_are_calibrated():
