@@ -9,6 +9,11 @@ cases smooth and vibrating have no systematic errors. In the case errors, a smoo
 with typical systematic errors is identified with a tare and a weighing, in the case uncured without
 them. The cases lengths, delays and everything add wrong link lengths, late sensors, and both with
 different sample rates and quantisation; these are estimated as well. A draw takes about a minute.
+
+With `--bound` the Bayesian Cramér-Rao bounds of the centre of mass and of the torque are printed
+too: roots of their means over the draws, and in brackets the ratios of the errors' to them. The
+unknowns are those of the estimate, columns are those of the true robot, and the noise is known.
+Soles at rest count with the deviations that the estimate gives them. This takes another minute.
 """
 
 import argparse
@@ -16,10 +21,11 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from noise_bound import NO_ERRORS, Unknowns, bound_covariance, expected_errors
 from threadpoolctl import threadpool_limits
 
 from symbid_ros.bags import bag_log
@@ -30,6 +36,7 @@ from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.calibration import read_tare
 from symbid_ros.identification.evaluation import TrueMotion, evaluate
 from symbid_ros.identification.intervals import HALF_WIDTH, summarise_intervals
+from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.load import load_model
@@ -38,7 +45,9 @@ from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.settings import ChannelValues, load_noise
 from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.simulation.systematic_errors import RESOLUTION, SAMPLE_RATES, parse_errors
 
 MODEL = config_file("symbitron.xml")
 # By case: scenario, systematic errors, and those that are estimated with a tare and a weighing
@@ -81,6 +90,8 @@ class Score:
         Number of alarms of the verdict.
     window : float
         Window length, s.
+    com_bound, torque_bound : float
+        Least errors in the mean, mm, Nm; NaN if they are not computed.
     """
 
     gen_force: float
@@ -93,6 +104,8 @@ class Score:
     squares: np.ndarray
     alarms: int
     window: float
+    com_bound: float = np.nan
+    torque_bound: float = np.nan
 
 
 def main() -> None:
@@ -106,34 +119,40 @@ def main() -> None:
     options.add_argument("--moves", type=int, default=20, help="moves of each log")
     options.add_argument("--percent", type=float, default=25.0)
     options.add_argument("--method", choices=METHODS, default="map_lmi")
+    options.add_argument("--bound", action="store_true", help="compute the least errors")
     options.add_argument("--cases", nargs="+", choices=CASES, default=["smooth", "vibrating"])
     given = options.parse_args()
     parameters = ParameterSet(load_model(MODEL))
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
-        ideal = Path(folder) / "ideal"
-        record(
-            Simulator(
-                SimulateOptions("smooth", moves=10, motion_seed=given.seed + 5000, ideal=True)
-            ),
-            ideal,
-        )
-        motion = read_true_motion([ideal], parameters.model)[::STRIDE]
+        motion = true_motion(Path(folder), "smooth", given.seed + 5000, 10)[::STRIDE]
         print(
             "| case | gen. force | torque | CoM mm (worst) | parameters % | impossible links | "
-            "covered | CoM covered | normalised ms (directions) | alarms |"
+            "covered | CoM covered | normalised ms (directions) | alarms | torque bound (ratio) | "
+            "CoM bound (ratio) |"
         )
-        print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
+        print(12 * "|---" + "|", flush=True)
         for case in given.cases:
             scores = []
             for score in draws(case, given, parameters, motion, Path(folder)):
                 scores.append(score)
                 print(
                     f"{case} {len(scores)}/{given.draws}: CoM {score.com:.3f} mm, gen. force "
-                    f"{score.gen_force:.3f}, windows of {1e3 * score.window:g} ms",
+                    f"{score.gen_force:.3f}, torque {score.torque:.4f}, windows of "
+                    f"{1e3 * score.window:g} ms; bounds {score.com_bound:.3f}, "
+                    f"{score.torque_bound:.4f}",
                     file=sys.stderr,
                     flush=True,
                 )
             print(table_row(case, scores), flush=True)
+
+
+def true_motion(folder: Path, scenario: str, seed: int, moves: int) -> TrueMotion:
+    """Return the motion of a simulated robot without errors."""
+    ideal = folder / "ideal"
+    record(Simulator(SimulateOptions(scenario, moves=moves, motion_seed=seed, ideal=True)), ideal)
+    motion = read_true_motion([ideal], load_model(MODEL))
+    shutil.rmtree(ideal)
+    return motion
 
 
 def draws(
@@ -161,8 +180,16 @@ def draws(
             draw_prior(parameters, "percent", given.percent, number)
             for number in range(seed, min(seed + given.priors, start + given.draws))
         ]
-        for found, prior in identified(log, case, parameters, priors, given):
-            yield score(found, prior, parameters, motion)
+        true = None
+        if given.bound:
+            true = true_motion(folder, scenario, seed + 1000, given.moves).samples
+        for loaded, found in identified(log, case, parameters, priors, given):
+            one = score(found, loaded.prior, parameters, motion)
+            if true is not None:
+                covariance = bound_covariance(parameters, true, unknowns(loaded, errors))
+                com, torque = expected_errors(parameters, covariance, motion)
+                one = replace(one, com_bound=com, torque_bound=torque)
+            yield one
         shutil.rmtree(log)
         shutil.rmtree(tare, ignore_errors=True)
 
@@ -173,8 +200,8 @@ def identified(
     parameters: ParameterSet,
     priors: list[Prior],
     given: argparse.Namespace,
-) -> Iterator[tuple[Identification, Prior]]:
-    """Yield the log's estimate under each prior; the log is read once."""
+) -> Iterator[tuple[LoadedProblem, Identification]]:
+    """Yield the log's problem and estimate under each prior; the log is read once."""
     first, tare, estimated = log.parent / "prior.json", log.parent / "tare", CASES[case][2]
     priors[0].write(first)
     # The checks of the log allow for what is estimated.
@@ -194,7 +221,38 @@ def identified(
                 tare=(tare,),
                 sensor_errors=estimated,
             )
-        yield problem.with_prior(prior, options, tares).solve(given.method), prior
+        loaded = problem.with_prior(prior, options, tares)
+        yield loaded, loaded.solve(given.method)
+
+
+def unknowns(loaded: LoadedProblem, errors: str) -> Unknowns:
+    """Return what is unknown and what is known of a log with these simulated errors."""
+    problem = loaded.solver.problem
+    noise = load_noise(config_file("noise.yaml"))
+    drawn = parse_errors(errors)
+    if "sample_rates" in drawn:
+        # Fewer samples are as good as more with larger noise.
+        rates = SAMPLE_RATES
+        noise = replace(
+            noise,
+            angular_velocity=noise.angular_velocity * np.sqrt(rates.imu),
+            linear_acceleration=noise.linear_acceleration * np.sqrt(rates.imu),
+            force=noise.force * np.sqrt(rates.plates),
+            moment=noise.moment * np.sqrt(rates.plates),
+        )
+    if "quantisation" in drawn:
+        steps = asdict(RESOLUTION)
+        rounded = {
+            name: np.hypot(size, steps[name] / np.sqrt(12)) for name, size in asdict(noise).items()
+        }
+        noise = ChannelValues(**rounded)
+    build = problem.calibrated_rows
+    return Unknowns(
+        NO_ERRORS if build is None else build.errors,
+        problem.prior,
+        problem.pseudo_measurements,
+        noise,
+    )
 
 
 def score(
@@ -247,11 +305,19 @@ def table_row(case: str, scores: list[Score]) -> str:
     normalised = squares.mean() if len(squares) else np.nan
     worst = max(each.com for each in scores)
     alarmed = sum(each.alarms > 0 for each in scores)
+
+    def bound(name: str) -> str:
+        least, errors = (
+            np.sqrt(np.mean([getattr(each, field) ** 2 for each in scores]))
+            for field in (f"{name}_bound", name)
+        )
+        return "–" if np.isnan(least) else f"{least:.3f} ({errors / least:.2f})"
+
     return (
         f"| {case} | {mean('gen_force'):.3f} | {mean('torque'):.3f} | {mean('com'):.3f} "
         f"({worst:.2f}) | {mean('parameters'):.1f} | {sum(each.impossible for each in scores)} | "
         f"{mean('covered'):.2f} | {mean('com_covered'):.2f} | {normalised:.2f} ({directions:.0f}) "
-        f"| {alarmed} of {len(scores)} |"
+        f"| {alarmed} of {len(scores)} | {bound('torque')} | {bound('com')} |"
     )
 
 

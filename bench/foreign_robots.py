@@ -20,8 +20,8 @@ the package can be named by its file, or by folder/file.
 - covered: share of determined parameters, joint terms included, inside their 90 % interval
 - geometry: mean square of errors of joint placements over their deviations
 
-With `--kinematics` the model file's joints are displaced by up to 2 mm and turned by up to 0.3°
-about each axis, and their placements are estimated with the links.
+With `--kinematics` the joints of an arm's model file are displaced by up to 2 mm and turned by up
+to 0.3° about each axis, and their placements are estimated with the links. The bound knows them.
 """
 
 import argparse
@@ -44,7 +44,13 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.prior import default_prior, draw_prior
 from symbid_ros.identification.intervals import HALF_WIDTH
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.sensor_errors import CalibratingRows, SensorErrors
+from symbid_ros.signals.sensor_errors import (
+    CalibratingRows,
+    LinearizationPoint,
+    SensorErrors,
+    error_columns,
+)
+from symbid_ros.signals.sensor_samples import SensorSamples
 
 FloatArray = NDArray[np.float64]
 
@@ -398,10 +404,32 @@ def predicted(found: sy.Result, motion: Samples) -> FloatArray:
 
 def variance(found: sy.Result, motion: Samples) -> FloatArray:
     """Return the variances (N, J) of these torques."""
-    factor = found._identification.deviation_factor
-    assert factor is not None
-    K = equation_of_motion(placed(found), motion).K[:, -motion.position.shape[1] :]
-    return np.sum((K @ factor) ** 2, axis=2)
+    one, parameters = found._identification, found._parameters
+    assert one.factor is not None
+    K = equation_of_motion(placed(found), motion).K
+    if isinstance(one.rows, CalibratingRows):
+        at = LinearizationPoint(found.estimate.value, one.unknowns[len(parameters) :])
+        columns = error_columns(parameters, one.rows.errors, at, readings(motion))
+        K = np.concatenate([K, -columns], axis=2)
+    return np.sum((K[:, -motion.position.shape[1] :] @ one.factor) ** 2, axis=2)
+
+
+def readings(motion: Samples) -> SensorSamples:
+    """Return what the sensors of an arm read in a motion."""
+    nothing = np.zeros((len(motion), 0, 3))
+    return SensorSamples(
+        stamp=motion.stamp,
+        position=motion.position,
+        velocity=motion.velocity,
+        acceleration=motion.acceleration,
+        effort=motion.effort,
+        angular_velocity=nothing,
+        angular_acceleration=nothing,
+        specific_force=nothing,
+        wrenches=motion.wrenches,
+        imu_frames=(),
+        wrench_frames=(),
+    )
 
 
 def least_variance(

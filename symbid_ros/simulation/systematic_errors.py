@@ -50,6 +50,10 @@ class SampleRates:
     plates: int = 1
 
 
+# An IMU at half the rate of the joints, and plates at a third.
+SAMPLE_RATES = SampleRates(joints=1, imu=2, plates=3)
+
+
 @dataclass(frozen=True)
 class SystematicErrors:
     """Systematic errors of J joints, their sensors, the IMU and F force plates.
@@ -178,7 +182,7 @@ ERRORS: dict[str, Draw] = {
     "imu_mounting": lambda random, *_: _draw_vectors(random, IMU_MOUNTING, 1)[0],
     "encoder_offset": lambda random, joints, _: _draw_scalars(random, ENCODER_OFFSET, (joints,)),
     "link_length": lambda random, joints, _: _draw_scalars(random, LINK_LENGTH, (joints,)),
-    "sample_rates": lambda *_: SampleRates(joints=1, imu=2, plates=3),
+    "sample_rates": lambda *_: SAMPLE_RATES,
     "delays": lambda random, _, plates: random.uniform(*DELAY, 2 + plates),
     "quantisation": lambda *_: RESOLUTION,
 }

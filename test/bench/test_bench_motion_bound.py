@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from motion_bound import information
+from noise_bound import information
 from scipy.optimize import least_squares
 
 RATE, COUNT, BLOCK = 100.0, 4096, 256
