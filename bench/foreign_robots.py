@@ -449,10 +449,12 @@ def least_variance(
         if not has_friction:
             return K
         factors = each.velocity, np.sign(each.velocity), each.acceleration
-        terms = np.zeros((*K.shape[:2], 3 * len(noise)))
+        # Joints that follow others have no friction of their own.
+        free = [joint for joint in range(len(noise)) if joint not in truth.followers]
+        terms = np.zeros((*K.shape[:2], 3 * len(free)))
         for number, factor in enumerate(factors):
-            for joint in range(len(noise)):
-                terms[:, first + joint, number * len(noise) + joint] = factor[:, joint]
+            for place, joint in enumerate(free):
+                terms[:, first + joint, number * len(free) + place] = factor[:, joint]
         return np.concatenate([K, terms], axis=2)
 
     covariance = np.zeros((len(motion), truth.dof, truth.dof))

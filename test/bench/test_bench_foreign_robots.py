@@ -87,3 +87,15 @@ def test_an_arm_is_identified_with_default_options() -> None:
     trial = foreign_robots.trial("z1", "present", 3, foreign_robots.Setup(12.0))
     assert trial.default < 0.01 * trial.prior
     assert trial.default < 1.5 * trial.by_hand
+
+
+def test_the_bound_of_a_gripper_whose_fingers_rub() -> None:
+    """The second finger follows the first: it has no friction that a log could tell."""
+    robot, _ = foreign_robots.load_robot("panda")
+    rng = np.random.default_rng(4)
+    motion, other = (foreign_robots.move(robot, (), rng, seconds) for seconds in (4.0, 2.0))
+    size = np.ones(len(robot.joints))
+    truth = foreign_robots.with_friction(robot, True, size, rng)
+    least = foreign_robots.least_variance(truth, motion, other, 1e-3 * size)
+    assert np.all(np.isfinite(least))
+    assert np.all(least[:, robot.joint_names.index("panda_joint4")] > 0)
