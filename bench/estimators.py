@@ -8,7 +8,8 @@ into a temporary folder. The estimates are evaluated on an ideal smooth log of a
 cases smooth and vibrating have no systematic errors. In the case errors, a smooth log of a robot
 with typical systematic errors is identified with a tare and a weighing, in the case uncured without
 them. The cases lengths, delays and everything add wrong link lengths, late sensors, and both with
-different sample rates and quantisation; these are estimated as well. A draw takes about a minute.
+different sample rates and quantisation; these are estimated as well. The case tracked has the logs
+of everything with a topic of the base's pose. A draw takes about a minute.
 
 With `--bound` the Bayesian Cramér-Rao bounds of the centre of mass and of the torque are printed
 too: roots of their means over the draws, and in brackets the ratios of the errors' to them. The
@@ -26,9 +27,10 @@ from pathlib import Path
 
 import numpy as np
 from noise_bound import NO_ERRORS, Unknowns, bound_covariance, expected_errors
+from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from symbid_ros.bags import bag_log
+from symbid_ros.bags import bag_log, read_streams, read_truth
 from symbid_ros.choices import METHODS
 from symbid_ros.estimation.directions import determined_directions
 from symbid_ros.estimation.prior import Prior, draw_prior
@@ -36,13 +38,15 @@ from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.calibration import read_tare
 from symbid_ros.identification.evaluation import TrueMotion, evaluate
 from symbid_ros.identification.intervals import HALF_WIDTH, summarise_intervals
-from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.package_paths import config_file
+from symbid_ros.signals.base_pose import PoseStream
+from symbid_ros.signals.log import Log
 from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.settings import ChannelValues, load_noise
@@ -64,6 +68,9 @@ CASES = {
         ("typical", "link_length", "sensor_delay"),
     ),
 }
+# The same logs with a topic of the base's pose: 1 mm and 1 mrad of noise at 100 Hz.
+CASES["tracked"] = CASES["everything"]
+POSE_NOISE, POSE_STRIDE = 1e-3, 10
 WEIGHING_STD = 0.02  # kg
 # Every STRIDE-th sample of the ideal log is evaluated, as its motion is slow.
 STRIDE = 5
@@ -164,7 +171,8 @@ def draws(
 ) -> Iterator[Score]:
     """Yield the scores of one case, several priors for each log."""
     scenario, errors, estimated = CASES[case]
-    start = given.seed + SEED_OFFSET * list(CASES).index(case)
+    of = "everything" if case == "tracked" else case
+    start = given.seed + SEED_OFFSET * list(CASES).index(of)
     for seed in range(start, start + given.draws, given.priors):
         robot = {"errors": errors, "error_seed": seed, "noise_seed": seed}
         log, tare = folder / "log", folder / "tare"
@@ -206,7 +214,10 @@ def identified(
     priors[0].write(first)
     # The checks of the log allow for what is estimated.
     options = IdentifyOptions(prior=first, sensor_errors=estimated)
-    problem = BagRequest((log,), MODEL, options).load()
+    if case == "tracked":
+        problem = load_problem(load_model(MODEL), with_poses(log, priors[0].seed or 0), options)
+    else:
+        problem = BagRequest((log,), MODEL, options).load()
     tares = read_tare(bag_log([tare])) if estimated else None
     for prior in priors:
         options = None
@@ -223,6 +234,19 @@ def identified(
             )
         loaded = problem.with_prior(prior, options, tares)
         yield loaded, loaded.solve(given.method)
+
+
+def with_poses(bag: Path, seed: int) -> Log:
+    """Return a log with noisy poses of the base, which the simulator knows."""
+    truth = read_truth([bag])
+    rng = np.random.default_rng(seed)
+    some = slice(None, None, POSE_STRIDE)
+    place, turn = truth.base_position[some], Rotation.from_quat(truth.base_orientation[some])
+    place = place + POSE_NOISE * rng.standard_normal(place.shape)
+    turn *= Rotation.from_rotvec(POSE_NOISE * rng.standard_normal(place.shape))
+    base = load_model(MODEL).link_names[0]
+    poses = PoseStream("pose", base, "world", truth.stamp[some], place, turn.as_quat())
+    return Log.from_streams(replace(read_streams([bag]), poses=(poses,)))
 
 
 def unknowns(loaded: LoadedProblem, errors: str) -> Unknowns:

@@ -302,16 +302,21 @@ def expected_errors(
     parameters: ParameterSet, covariance: FloatArray, motion: TrueMotion
 ) -> tuple[float, float]:
     """Return the RMS errors of CoM, mm, and torque, Nm, that a covariance (p, p) implies."""
-    truth, samples = parameters.values, motion.samples
-    poses = link_poses(parameters.model, samples.position)
-    masses = np.zeros(len(truth))
-    masses[: parameters.inertial : 10] = 1.0
-    com = com_position(parameters, truth, poses)
-    slope = first_moment_regressor(parameters, poses) - com[:, :, None] * masses
-    slope /= masses @ truth
+    samples = motion.samples
     L = np.linalg.cholesky(covariance)
-    squares = [np.mean(np.sum((slope @ L) ** 2, axis=(1, 2)))]
+    squares = [np.mean(np.sum((com_slope(parameters, samples) @ L) ** 2, axis=(1, 2)))]
     K = equation_of_motion(parameters, samples).K[:, -samples.position.shape[1] :]
     squares.append(np.mean(np.sum((K @ L) ** 2, axis=(1, 2))))
     com_error, torque = np.sqrt(squares)
     return 1e3 * float(com_error), float(torque)
+
+
+def com_slope(parameters: ParameterSet, samples: Samples) -> FloatArray:
+    """Return the change of the CoM (N, 3, p), m, with the true robot's parameters."""
+    truth = parameters.values
+    poses = link_poses(parameters.model, samples.position)
+    masses = np.zeros(len(truth))
+    masses[: parameters.inertial : 10] = 1.0
+    com = com_position(parameters, truth, poses)
+    slope: FloatArray = first_moment_regressor(parameters, poses) - com[:, :, None] * masses
+    return slope / (masses @ truth)

@@ -17,7 +17,7 @@ from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.stance_closure import Stance, closure_rows, find_stances
+from symbid_ros.identification.stance_closure import RestingSoles, closure_rows, find_stances
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import (
@@ -180,7 +180,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     scale: FloatArray | None = None
     remarks: tuple[str, ...] = ()
     forceful = pseudo_measurements
-    stances: list[Stance] = []
+    stances = RestingSoles()
     if parameters.model.floating and not set(KINEMATIC_ERRORS).isdisjoint(errors.kinds):
         stances = find_stances(dataset.segments, parameters.model)
     for _ in range(PASSES - 1):

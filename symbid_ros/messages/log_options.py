@@ -47,7 +47,8 @@ class LogOptions:
     pose_topic: tuple[str, ...] = option(
         (),
         "Odometry or PoseStamped topic with the pose of a floating robot in the world, as from "
-        "motion capture, in place of an IMU or beside it.",
+        "motion capture. It takes the place of an IMU; beside one, it tells link lengths and axes "
+        "if these are estimated.",
         group=GROUP,
     )
     drive_topic: tuple[str, ...] = option(

@@ -139,16 +139,14 @@ def build_streams(
             return converted
         return pose.on_robot(converted, mapping.plate_links.get(stream.topic, ""))
 
+    imus = tuple(
+        mapping.converted_imu(build_imu_stream(decoders[topic], tallies[topic]))
+        for topic in chosen.imus
+    )
     return Streams(
         source=source,
         joints=build_joints(source, chosen, decoders, tallies),
-        imus=(
-            *(
-                mapping.converted_imu(build_imu_stream(decoders[topic], tallies[topic]))
-                for topic in chosen.imus
-            ),
-            *(pose.imu() for pose in poses),
-        ),
+        imus=imus or tuple(pose.imu() for pose in poses),
         wrenches=tuple(
             converted_wrench(build_wrench_stream(decoders[topic], tallies[topic]))
             for topic in chosen.wrenches
@@ -158,6 +156,7 @@ def build_streams(
             for topic in chosen.drives
             for interval in read_driving(decoders[topic], tallies[topic])
         ),
+        poses=tuple(poses),
     )
 
 

@@ -16,6 +16,7 @@ from symbid_ros.dynamics.unmeasured_contacts import MOST_FLAGGED
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
+from symbid_ros.signals.base_pose import PoseStream
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
 from symbid_ros.signals.joint_clock import sampled_joints
 from symbid_ros.signals.segments import Segment
@@ -118,10 +119,9 @@ def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
             "(`pose_topic`), or give `base` fixed if it is bolted down",
             "E307",
         )
-    sensors: list[ImuStream | WrenchStream] = [
-        *(streams.imus if model.floating else ()),
-        *streams.wrenches,
-    ]
+    sensors: list[ImuStream | WrenchStream | PoseStream] = [*streams.wrenches]
+    if model.floating:
+        sensors = [*streams.imus, *streams.poses, *sensors]
     for sensor in sensors:
         _check_frame(sensor, model, streams.source)
     for fault in wrist_sensor_faults(streams, model):
@@ -199,7 +199,9 @@ def _check_flight(segment: Segment, source: str) -> None:
         )
 
 
-def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: str) -> None:
+def _check_frame(
+    sensor: ImuStream | WrenchStream | PoseStream, model: RobotModel, source: str
+) -> None:
     """Check that the model has a sensor's frame; if not, suggest the prefix to remove."""
     frame = sensor.frame_id
     try:
@@ -334,6 +336,8 @@ def _segment(
         imu_frames=tuple(imu.frame_id for imu in streams.imus),
         wrench_frames=tuple(one.frame_id for one in streams.wrenches if one.topic in contacts),
         touching=_touching(streams, grid, model),
+        poses=np.stack([one.at(grid) for one in streams.poses], axis=1) if streams.poses else None,
+        pose_frames=tuple(one.frame_id for one in streams.poses),
     )
 
 

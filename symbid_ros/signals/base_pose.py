@@ -1,7 +1,8 @@
-"""The pose of a robot in the world, from motion capture or odometry, in place of an IMU.
+"""The pose of a robot in the world, from motion capture or odometry.
 
-The pose is differentiated like a joint's position. With gravity known, an IMU at the tracked frame
-would read the result, and wrenches in world axes become wrenches on the robot.
+Without an IMU the pose is differentiated like a joint's position. With gravity known, an IMU at the
+tracked frame would read the result. Wrenches in world axes become wrenches on the robot, and soles
+at rest have a constant pose in the world, which tells the geometry of legs.
 """
 
 from collections.abc import Iterator
@@ -75,6 +76,21 @@ class PoseStream:
                 "E327",
             )
         return concatenated([part._differentiated() for part in parts])
+
+    def at(self, stamp: IntArray) -> FloatArray:
+        """Return positions and quaternions (M, 7) at stamps (M,), NaN in gaps."""
+        values = np.column_stack([self.position, self._continuous])
+        found = np.full((len(stamp), 7), np.nan)
+        if len(values) < 2:
+            return found
+        after = np.clip(np.searchsorted(self.stamp, stamp), 1, len(values) - 1)
+        steps = np.diff(self.stamp)
+        is_near = (steps <= LONGEST_GAP * np.median(steps))[after - 1]
+        inside = (stamp >= self.stamp[0]) & (stamp <= self.stamp[-1])
+        inside &= is_near | (self.stamp[after] == stamp)
+        for column, one in enumerate(values.T):
+            found[inside, column] = np.interp(stamp[inside], self.stamp, one)
+        return found
 
     def smoothed(self) -> "PoseStream":
         """Return the poses after a low-pass, without the ends at which it settles.

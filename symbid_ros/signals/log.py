@@ -151,7 +151,8 @@ class Log:
             and the world's origin, as of a force plate; ``world@LINK`` names the link on it.
         poses : mapping of str to (N, 7) array_like, optional
             For a frame of a floating robot: its position in the world (m), z upwards, then its
-            orientation as quaternion xyzw. It takes the place of an IMU, or is used beside it.
+            orientation as quaternion xyzw. It takes the place of an IMU. Beside one it tells the
+            geometry, if that is estimated (``link_length``).
         touches : mapping of str to (N,) array_like of bool, optional
             Whether a contact named by ``contact`` touches anything, by its frame. Contacts without
             flags may touch something at any time.
@@ -229,9 +230,12 @@ class Log:
             WrenchStream(topic, frame, at, force=read[:, :3], torque=read[:, 3:])
             for topic, frame, at, read in sensors("wrenches", wrenches)
         )
-        for topic, frame, at, read in sensors("poses", poses):
-            pose = PoseStream(topic, frame, WORLD, at, read[:, :3], read[:, 3:])
-            imu_streams = (*imu_streams, pose.imu())
+        tracked = tuple(
+            PoseStream(topic, frame, WORLD, at, read[:, :3], read[:, 3:])
+            for topic, frame, at, read in sensors("poses", poses)
+        )
+        imu_streams = imu_streams or tuple(pose.imu() for pose in tracked)
+        for pose in tracked:
             wrench_streams = tuple(
                 pose.on_robot(one, one.frame_id.partition(ON_LINK)[2])
                 if one.frame_id.partition(ON_LINK)[0] == WORLD
@@ -251,7 +255,13 @@ class Log:
             read = rows("driving", np.asarray(driving, dtype=bool).reshape(-1, 1), 1)
             moves = driving_intervals(stamp[kept], read[:, 0].astype(bool))
         streams = Streams(
-            name, joints, imu_streams, wrench_streams, flags=tuple(flags), driving=moves
+            name,
+            joints,
+            imu_streams,
+            wrench_streams,
+            flags=tuple(flags),
+            driving=moves,
+            poses=tracked,
         )
         return cls.from_streams(streams, TimeRange(start, stop), tuple(tallies))
 

@@ -38,6 +38,11 @@ class Segment:
         Frames of the I IMUs and F wrench sensors.
     touching : (M, C) bool or None
         Which contacts without a sensor touch something; None if all may.
+    poses : (M, P, 7) float64 or None
+        Position (m) and quaternion xyzw of tracked frames in the world, NaN where they are not
+        measured; None if none is tracked.
+    pose_frames : tuple of str
+        The P tracked frames.
     """
 
     stamp: IntArray
@@ -50,6 +55,8 @@ class Segment:
     imu_frames: tuple[str, ...]
     wrench_frames: tuple[str, ...]
     touching: BoolArray | None = None
+    poses: FloatArray | None = None
+    pose_frames: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.stamp)

@@ -241,7 +241,7 @@ class SensorErrors:
             columns[:, :, self.places[LENGTH]] = by_screws[..., 3:].reshape(shape)
         if AXIS in self.kinds:
             turns = _across_axes(model, self.of_kind(AXIS, theta))
-            slopes = _left_jacobian(turns) @ _axis_complements(model)
+            slopes = left_jacobian(turns) @ _axis_complements(model)
             turned = (by_screws[..., None, :3] @ slopes)[..., 0, :]
             columns[:, :, self.places[AXIS]] = turned.reshape(shape)
 
@@ -458,7 +458,7 @@ def _across_axes(model: RobotModel, turns: FloatArray) -> FloatArray:
     return across
 
 
-def _left_jacobian(turns: FloatArray) -> FloatArray:
+def left_jacobian(turns: FloatArray) -> FloatArray:
     """Return the rotation (..., 3, 3) of exp(ρ) per change of small ρ (..., 3), to second order."""
     cross = np.cross(turns[..., None, :], np.eye(3)).swapaxes(-1, -2)
     jacobian: FloatArray = np.eye(3) + cross / 2 + cross @ cross / 6
@@ -497,7 +497,7 @@ def _fill_plates(
         raw = np.einsum("tnfki,fij->tnfkj", pairs, turned)
         raw_response = np.einsum("tnfi,fij->tnfj", raw.reshape(response.shape), correction)
         wrenches = corrected.wrenches.reshape(*corrected.wrenches.shape[:2], 1, 2, 3)
-        spun = np.cross(_left_jacobian(turns).swapaxes(1, 2)[None, :, :, None], wrenches)
+        spun = np.cross(left_jacobian(turns).swapaxes(1, 2)[None, :, :, None], wrenches)
         place = errors.places[FRAME]
         C[:, :, place.start : place.start + 3 * len(frames)] = np.einsum(
             "tnfki,tfjki->tnfj", pairs, spun

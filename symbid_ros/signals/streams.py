@@ -2,13 +2,16 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
 from symbid_ros.errors import DataError
 from symbid_ros.signals.defects import DefectCounts
+
+if TYPE_CHECKING:
+    from symbid_ros.signals.base_pose import PoseStream
 
 
 @dataclass(frozen=True)
@@ -132,6 +135,8 @@ class Streams:
         Complete up to the end of the other streams.
     driving : tuple of (int, int)
         Times, ns, at which a wheeled base drives.
+    poses : tuple of PoseStream
+        Measured poses of a floating robot; they may have gaps.
     """
 
     source: str
@@ -141,6 +146,7 @@ class Streams:
     is_live: bool = False
     flags: tuple[ContactFlags, ...] = ()
     driving: tuple[tuple[int, int], ...] = ()
+    poses: "tuple[PoseStream, ...]" = ()
 
     @property
     def all(self) -> tuple[Stream, ...]:
@@ -169,7 +175,12 @@ class Streams:
 
     def between(self, start: int, stop: int) -> "Streams":
         """Return the messages with stamps from ``start`` up to ``stop``, ns."""
-        return self.select(lambda stream: slice(*np.searchsorted(stream.stamp, [start, stop])))
+
+        def inside(stream: "Stream | PoseStream") -> slice:
+            return slice(*np.searchsorted(stream.stamp, [start, stop]))
+
+        poses = tuple(map_arrays(one, lambda values: values[inside(one)]) for one in self.poses)  # noqa: B023
+        return replace(self.select(inside), poses=poses)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from symbid_ros.bags import BagWriter
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import identify
+from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
@@ -184,3 +185,29 @@ def test_a_pose_of_an_unknown_frame_is_refused(robot, readings, tmp_path):
     log = load_bag(bag, robot, pose_topic=("/tracker",), pose_frame="head")
     with pytest.raises(ModelError, match="head"):
         identify(robot, log, **FAST)
+
+
+def test_a_pose_beside_an_imu_is_kept_for_the_geometry_and_moves_nothing(robot, readings):
+    """Its second derivative is far noisier than an accelerometer, and a gap cuts no log."""
+    joints, pose = readings["/joint_states"], readings["/base/pose"]["pose"].copy()
+    imu = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 9.81], (len(pose), 1))
+    gap = (joints["time"] > 5.0) & (joints["time"] < 6.0)
+    pose[gap] = np.nan
+    log = Log.from_arrays(
+        robot,
+        time=joints["time"],
+        position=joints["position"],
+        effort=joints["effort"],
+        imus={"base": imu},
+        poses={"base": pose},
+    )
+    (segment,) = AlignedLog(log, robot).contiguous_segments()
+    assert segment.imu_frames == ("base",)
+    np.testing.assert_array_equal(segment.linear_acceleration[:, 0], imu[:, 3:])
+    assert segment.pose_frames == ("base",)
+    stamp = np.round(joints["time"] * 1e9).astype(np.int64)
+    inside = np.isin(stamp, segment.stamp)
+    measured = inside & ~gap
+    here = np.isin(segment.stamp, stamp[measured])
+    np.testing.assert_allclose(segment.poses[here, 0, :3], pose[measured, :3], atol=1e-9)
+    assert np.isnan(segment.poses[np.isin(segment.stamp, stamp[inside & gap])]).all()

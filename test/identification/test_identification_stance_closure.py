@@ -9,7 +9,14 @@ from random_robots import CONFIG, random_robot
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.identification.stance_closure import Stance, closure_rows, find_stances
+from symbid_ros.identification.stance_closure import (
+    MOUNTING,
+    RestingSoles,
+    Stance,
+    TrackedStance,
+    closure_rows,
+    find_stances,
+)
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_errors import LinearizationPoint, SensorErrors
@@ -68,7 +75,7 @@ def test_resting_soles_tell_the_geometry(parameters):
     p, theta = len(parameters), np.zeros(len(errors))
     for _ in range(2):
         point = LinearizationPoint(parameters.values, theta)
-        rows = closure_rows([stance], parameters, errors, point)
+        rows = closure_rows(RestingSoles((stance,)), parameters, errors, point)
         assert rows.rows.shape == (len(errors), p + len(errors))
         assert not rows.rows[:, :p].any()
         A, information = rows.rows[:, p:], np.diag(errors.std**-2)
@@ -81,17 +88,84 @@ def test_resting_soles_tell_the_geometry(parameters):
     left = theta - truth
     assert left @ np.linalg.solve(covariance, left) / len(errors) < 1.5
     # Rows are exact at the true errors.
-    at_truth = closure_rows([stance], parameters, errors, LinearizationPoint(None, truth))
+    at_truth = closure_rows(
+        RestingSoles((stance,)), parameters, errors, LinearizationPoint(None, truth)
+    )
     assert np.linalg.norm(at_truth.rows[:, p:] @ truth - at_truth.targets) < 0.3
+
+
+def tracked(parameters, errors, theta, rng, *, late=0.0, noise=0.0):
+    """Return poses of a frame of the base that is neither where nor turned as the model says."""
+    time = 0.05 * np.arange(500)
+    count = len(parameters.model.joints)
+    rates, phases = rng.uniform(0.3, 1.5, count), rng.uniform(0, 6, count)
+
+    def poses(at):
+        true = errors.placed(parameters, theta).model
+        posture = 0.3 * np.sin(rates * at[:, None] + phases)
+        base, sole = true.frame("imu_link"), true.frame(SOLES[0])
+        links = link_poses(true, posture)
+        turn = Rotation.from_matrix(links.rotation[:, sole.link] @ sole.rotation).inv()
+        place = -turn.apply(
+            links.position[:, sole.link]
+            + (links.rotation[:, sole.link] @ sole.translation[:, None])[..., 0]
+        )
+        # The base seen from the sole, and the tracked frame on it.
+        mounted = Rotation.from_matrix(base.rotation) * Rotation.from_rotvec([0.004, -0.006, 0.01])
+        markers = base.translation + base.rotation @ [0.004, -0.003, 0.005]
+        return posture, place + turn.apply(markers), turn * mounted
+
+    posture, _, _ = poses(time)
+    _, place, turn = poses(time - late)
+    place = place + noise * rng.standard_normal(place.shape)
+    turn = turn * Rotation.from_rotvec(0.3 * noise * rng.standard_normal(place.shape))
+    offset = errors.of_kind("encoder_offset", theta)[:, 0]
+    return TrackedStance("imu_link", SOLES[0], time, posture + offset, place, turn.as_quat())
+
+
+def test_poses_of_the_base_tell_the_scale_of_the_legs(parameters):
+    errors, rng = errors_of(parameters), np.random.default_rng(3)
+    truth = errors.std * rng.standard_normal(len(errors))
+    stance = tracked(parameters, errors, truth, rng, late=0.004, noise=5e-4)
+    p, theta = len(parameters), np.zeros(len(errors))
+    for _ in range(3):
+        point = LinearizationPoint(parameters.values, theta)
+        rows = closure_rows(RestingSoles(tracked=(stance,)), parameters, errors, point)
+        A = rows.rows[:, p:]
+        assert A.shape == (len(errors), len(errors))
+        covariance = np.linalg.inv(A.T @ A + np.diag(errors.std**-2))
+        theta = covariance @ A.T @ rows.targets
+    left = theta - truth
+    assert left @ np.linalg.solve(covariance, left) / len(errors) < 1.5
+    # Thigh and shank, whose common scale no pair of soles could tell.
+    legs = np.array(
+        [name in {"L_kfe/link_length_x", "L_adp/link_length_x"} for name in errors.names]
+    )
+    assert legs.sum() == 2
+    common = legs / 2.0
+    assert np.sqrt(common @ covariance @ common) < 0.3 * errors.std[legs][0] / np.sqrt(2)
+
+
+def test_poses_without_noise_close_at_the_true_geometry(parameters):
+    errors, rng = errors_of(parameters), np.random.default_rng(4)
+    truth = 0.3 * errors.std * rng.standard_normal(len(errors))
+    stance = tracked(parameters, errors, truth, rng, late=0.002)
+    p = len(parameters)
+    point = LinearizationPoint(parameters.values, truth)
+    rows = closure_rows(RestingSoles(tracked=(stance,)), parameters, errors, point)
+    # What remains is how unlikely mounting and delay are, and no error of the linearisation.
+    unlikely = np.array([0.004, -0.006, 0.01, 0.004, -0.003, 0.005, 0.002]) / MOUNTING
+    left = np.linalg.norm(rows.rows[:, p:] @ truth - rows.targets)
+    assert left == pytest.approx(np.linalg.norm(unlikely), rel=0.05)
 
 
 def test_points_that_roll_give_no_rows(parameters, caplog):
     errors = errors_of(parameters)
     position = 0.2 * np.random.default_rng(1).standard_normal((50, len(parameters.model.joints)))
     point = LinearizationPoint(parameters.values, np.zeros(len(errors)))
-    assert closure_rows([Stance(SOLES, position)], parameters, errors, point) is None
+    assert closure_rows(RestingSoles((Stance(SOLES, position),)), parameters, errors, point) is None
     assert "soles moved" in caplog.text
-    assert closure_rows([], parameters, errors, point) is None
+    assert closure_rows(RestingSoles(), parameters, errors, point) is None
 
 
 def test_stances_are_where_two_feet_are_loaded():
@@ -104,6 +178,7 @@ def test_stances_are_where_two_feet_are_loaded():
     time = 1e-9 * segment.stamp
     wrenches[(time > 3) & (time < 4), 0, 5] = 0.01 * weight
     stances = find_stances([replace(segment, wrenches=wrenches)], robot)
-    assert [len(one.position) for one in stances] == [60, 80]
-    for one in stances:
+    assert [len(one.position) for one in stances.pairs] == [60, 80]
+    assert stances.tracked == ()
+    for one in stances.pairs:
         assert one.soles == segment.wrench_frames
