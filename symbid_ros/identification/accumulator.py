@@ -125,11 +125,19 @@ class BlockAccumulator:
     count: int = 0
     first: int | None = None
 
-    def rows(self, data: TimeSpan, build: RowBuilder, windows: Sequence[float]) -> BlockRows:
+    def rows(
+        self,
+        data: TimeSpan,
+        build: RowBuilder,
+        windows: Sequence[float],
+        noisy_channels: Sequence[Channel] = MOTION,
+    ) -> BlockRows:
         """Return the rows of the next block."""
         # Rows that are forgotten must be represented by newer ones.
         forgets = self.time_constant < np.inf
-        return build_block_rows(data, build, windows, first=self.first, replays_all=forgets)
+        return build_block_rows(
+            data, build, windows, noisy_channels, first=self.first, replays_all=forgets
+        )
 
     def with_block(self, block: BlockRows) -> "BlockAccumulator":
         """Return the information with one more block."""

@@ -20,6 +20,7 @@ from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.stance_closure import RestingSoles, closure_rows, find_stances
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
+from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_errors import (
     COMPLIANCE,
     DRIVE_GAIN,
@@ -53,6 +54,8 @@ ASSUMED = (
 DEFLECTION, LEAST_EFFORT = 2e-3, 0.02
 # Deviation of a fixed gain, as a share of its prior deviation.
 FIXED = 1e-6
+# Channels whose noise enters the rows of sensor errors.
+NOISY_CHANNELS = MOTION + FORCES
 # The linearisation point need not be exact.
 POINT_CONVERGED = 1e-2
 
@@ -148,6 +151,89 @@ class SensorErrorRequest:
     factors: InitialFactors | None = None
 
 
+@dataclass(frozen=True)
+class ExtendedProblem:
+    """A problem with sensor errors as further unknowns, for any linearization point.
+
+    Attributes
+    ----------
+    problem : Problem
+        Without observations, with the prior of all unknowns.
+    errors : SensorErrors
+    layout : RowLayout
+        Of the rows.
+    """
+
+    problem: Problem
+    errors: SensorErrors
+    layout: RowLayout
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        wrench_frames: tuple[str, ...],
+        imu_frames: tuple[str, ...],
+        request: SensorErrorRequest,
+        measured: Samples | Segment,
+    ) -> "ExtendedProblem":
+        """Extend a problem without sensor errors.
+
+        Parameters
+        ----------
+        problem : Problem
+            Its observations are not used.
+        wrench_frames, imu_frames : tuple of str
+            Frames of the sensors.
+        request : SensorErrorRequest
+        measured : Samples or Segment
+            Data whose efforts give the prior deviations of compliances.
+        """
+        parameters = problem.parameters
+        gained = () if request.factors is None else request.factors.joints
+        errors = SensorErrors.of(request.kinds, parameters.model, wrench_frames, imu_frames, gained)
+        mean, std = _prior_errors(errors, request, measured)
+        layout = error_layout(parameters, errors)
+        extended = replace(
+            problem,
+            observations=(),
+            prior=problem.prior.extended(errors.names, mean, std),
+            sensor_units=errors.units,
+            pseudo_measurements=_padded(problem.pseudo_measurements, len(errors)),
+            needs_longest_window=True,
+        )
+        return cls(extended, errors, layout)
+
+    @property
+    def prior_point(self) -> LinearizationPoint:
+        """The prior's mean."""
+        p, mean = len(self.problem.parameters), self.problem.prior.mean
+        return LinearizationPoint(mean[:p], mean[p:])
+
+    def point(self, unknowns: FloatArray) -> LinearizationPoint:
+        """Return the point at which rows are linearized if the unknowns (p + r,) are nearest."""
+        p = len(self.problem.parameters)
+        theta = unknowns[p:].copy()
+        if COMPLIANCE in self.errors.kinds:
+            # About rigid joints, because rates of a noisy deflection would enter the motion. The
+            # squares of deflections are negligible.
+            theta[self.errors.places[COMPLIANCE]] = 0.0
+        return LinearizationPoint(unknowns[:p], theta)
+
+    def rows(self, point: LinearizationPoint) -> CalibratingRows:
+        """Return what builds the rows of all unknowns, linearized at a point."""
+        return CalibratingRows(self.problem.parameters, self.errors, point)
+
+
+def calibration_windows(rate: float) -> tuple[float, float]:
+    """Return the window lengths, s, at a rate, Hz: the shortest, and the longest, which is solved.
+
+    Only long windows separate sensor errors from slow motion.
+    """
+    suited = suitable_windows(ALL_WINDOWS, rate)
+    return suited[0], suited[-1]
+
+
 def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -> Problem:
     """Return a problem with sensor errors as unknowns, linearised about the best estimate.
 
@@ -159,24 +245,15 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
         The log.
     request : SensorErrorRequest
     """
-    parameters = problem.parameters
     segment = next(iter(dataset.segments))
-    errors = SensorErrors.of(
-        request.kinds,
-        parameters.model,
-        segment.wrench_frames,
-        segment.imu_frames,
-        () if request.factors is None else request.factors.joints,
+    extended = ExtendedProblem.of(
+        problem, segment.wrench_frames, segment.imu_frames, request, dataset.samples
     )
-    mean, std = _prior_errors(errors, request, dataset.samples)
-    prior = problem.prior.extended(errors.names, mean, std)
-    layout = error_layout(parameters, errors)
+    parameters, errors, layout = problem.parameters, extended.errors, extended.layout
+    prior, point = extended.problem.prior, extended.prior_point
     p = len(parameters)
-    point = LinearizationPoint(problem.prior.mean, mean)
-    pseudo_measurements = _padded(problem.pseudo_measurements, len(errors))
-    # Only long windows separate sensor errors from slow motion.
-    suited = suitable_windows(ALL_WINDOWS, segment.rate)
-    shortest, longest = suited[0], suited[-1]
+    pseudo_measurements = extended.problem.pseudo_measurements
+    shortest, longest = calibration_windows(segment.rate)
     scale: FloatArray | None = None
     remarks: tuple[str, ...] = ()
     forceful = pseudo_measurements
@@ -184,12 +261,12 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     if parameters.model.floating and not set(KINEMATIC_ERRORS).isdisjoint(errors.kinds):
         stances = find_stances(dataset.segments, parameters.model)
     for _ in range(PASSES - 1):
-        build = CalibratingRows(parameters, errors, point)
+        build = extended.rows(point)
         closed = closure_rows(stances, parameters, errors, point)
         pseudo_measurements = _stacked(forceful, closed)
         (observations,) = observe(dataset.segments, build, layout, (longest,), ())
         if request.factors is not None and scale is None:
-            scale = _scale_row(request.factors, errors, mean, p)
+            scale = _scale_row(request.factors, errors, prior.mean[p:], p)
             if is_undetermined(scale, observations, prior, pseudo_measurements, p):
                 remarks = (ASSUMED,)
                 forceful = _with_row(forceful, scale / ASSUMED_STD, 1 / ASSUMED_STD)
@@ -202,21 +279,13 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
             count=parameters.inertial,
             tolerance=POINT_CONVERGED,
         )
-        theta = found.mean[p:].copy()
-        if COMPLIANCE in errors.kinds:
-            # About rigid joints, because rates of a noisy deflection would enter the motion. The
-            # squares of deflections are negligible.
-            theta[errors.places[COMPLIANCE]] = 0.0
-        point = LinearizationPoint(found.mean[:p], theta)
-    build = CalibratingRows(parameters, errors, point)
+        point = extended.point(found.mean)
+    build = extended.rows(point)
     pseudo_measurements = _stacked(forceful, closure_rows(stances, parameters, errors, point))
     return replace(
-        problem,
+        extended.problem,
         observations=_final_rows(build, dataset, layout, (shortest, longest)),
-        prior=prior,
-        sensor_units=errors.units,
         pseudo_measurements=pseudo_measurements,
-        needs_longest_window=True,
         calibrated_rows=build,
         remarks=remarks,
     )
@@ -234,7 +303,7 @@ def error_layout(parameters: ParameterSet, errors: SensorErrors) -> RowLayout:
 
 
 def _prior_errors(
-    errors: SensorErrors, request: SensorErrorRequest, samples: Samples
+    errors: SensorErrors, request: SensorErrorRequest, measured: Samples | Segment
 ) -> tuple[FloatArray, FloatArray]:
     """Return prior means and standard deviations (r,) of the sensor errors."""
     mean, std = np.zeros(len(errors)), errors.std.copy()
@@ -257,13 +326,13 @@ def _prior_errors(
                 mean[part] = found_by_checks.rotation
                 std[part] = np.maximum(std[part], found_by_checks.std)
     if COMPLIANCE in errors.kinds:
-        std[errors.places[COMPLIANCE]] = compliance_std(samples)
+        std[errors.places[COMPLIANCE]] = compliance_std(measured.effort)
     return mean, std
 
 
-def compliance_std(samples: Samples) -> FloatArray:
-    """Return the prior deviations (J,) of compliances, rad/Nm, by the sizes of the efforts."""
-    size = np.sqrt(np.mean(np.nan_to_num(samples.effort) ** 2, axis=0))
+def compliance_std(efforts: FloatArray) -> FloatArray:
+    """Return the prior deviations (J,) of compliances, rad/Nm, by the sizes of efforts (N, J)."""
+    size = np.sqrt(np.mean(np.nan_to_num(efforts) ** 2, axis=0))
     std: FloatArray = DEFLECTION / np.maximum(size, max(LEAST_EFFORT * size.max(), 1e-9))
     return std
 
@@ -357,7 +426,7 @@ def _final_rows(
         build,
         layout,
         windows,
-        MOTION + FORCES,
+        NOISY_CHANNELS,
         candidates=build.parameters.candidates,
     )
 

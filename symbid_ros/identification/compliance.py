@@ -59,7 +59,7 @@ def shows_compliance(solver: Solver, dataset: Dataset) -> bool:
     layout = RowLayout.of(parameters).extended(errors.names, errors.structure(model))
     window = suitable_windows(ALL_WINDOWS, training[0].rate)[-1]
     (observations,) = observe(training, build, layout, (window,), ())
-    prior = prior.extended(errors.names, nothing, compliance_std(dataset.samples))
+    prior = prior.extended(errors.names, nothing, compliance_std(dataset.samples.effort))
     found = posterior(observations, prior, tolerance=POINT_CONVERGED)
     value, factor = found.mean[count:], found.deviation_factor[count:]
     covariance = factor @ factor.T

@@ -39,9 +39,11 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker
 from symbid_ros.online.initial_state import InitialState
+from symbid_ros.online.live_calibration import FEW, MOST_KEPT, LiveCalibration
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.message_check import MessageCheck
 from symbid_ros.signals.alignment import joint_columns
+from symbid_ros.signals.sensor_errors import CalibratingRows
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suitable_windows
 
 logger = logging.getLogger(__name__)
@@ -133,12 +135,11 @@ class OnlineIdentification:
         self._initial_state, self._pace = initial_state, pace
         self._options, self._parameters = initial_state.options, initial_state.problem.parameters
         self._windows = tuple(one.window for one in initial_state.observations)
-        self._build = equation_rows(self._parameters)
         topics = tuple(topic.name for topic in selected.all)
-        self._problem = replace(
-            initial_state.problem,
-            inputs=(*initial_state.problem.inputs, *topics),
-        )
+        self._inputs = (*initial_state.problem.inputs, *topics)
+        self._problem = replace(initial_state.problem, inputs=self._inputs)
+        self._tares = dict(initial_state.tares)
+        self._calibration: LiveCalibration | None = None
         self._scheduler = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
         self.lost_blocks = self.clock_jumps = 0
@@ -162,7 +163,13 @@ class OnlineIdentification:
         self._usable_windows: tuple[float, ...] = ()
         known = BlockAccumulator(initial_state.observations, pace.memory)
         self._accumulator = Accumulator(known, len(self._windows) // 2)
-        self._worker = BlockWorker(self._build, self._windows, pace.share, known)
+        self._worker = BlockWorker(
+            equation_rows(self._parameters),
+            self._windows,
+            pace.share,
+            known,
+            MOST_KEPT if self._options.sensor_error_kinds else 0,
+        )
 
     @property
     def streams(self) -> LiveStreams:
@@ -255,11 +262,21 @@ class OnlineIdentification:
         return self._solve_exactly() if exactly else self._solve_approximately(new)
 
     def _solve_exactly(self) -> OnlineEstimate | None:
-        self._add_processed(self._worker.finish())
-        blocks, open_block = self._accumulator.blocks, self._scheduler.open_block()
+        self._add_processed(self._worker.finish(longest=FEW))
+        open_block = self._scheduler.open_block()
         if open_block is not None and open_block.segments:
-            self._select_windows(open_block)
-            blocks = blocks.with_block(blocks.rows(open_block, self._build, self._windows))
+            self._prepare_rows(open_block)
+        solver = self._exact_solver(open_block)
+        while solver is not None and self._relinearize(solver.posterior):
+            self._add_processed(self._worker.finish())
+            solver = self._exact_solver(open_block)
+        return None if solver is None else self._estimate(solver, with_verdict=True)
+
+    def _exact_solver(self, open_block: TimeSpan | None) -> Solver | None:
+        """Return the solver of all blocks and the open one; None if there are too few data."""
+        blocks = self._accumulator.blocks
+        if open_block is not None and open_block.segments:
+            blocks = self._worker.with_block(blocks, open_block)
             self._until = open_block.stop - 1
         problem = self._problem_with(blocks)
         if not problem.observations:
@@ -269,7 +286,18 @@ class OnlineIdentification:
             problem = self._with_candidate_prior(problem)
             self._choice = choose_terms(problem)
             problem = replace(self._choice.applied(problem), choice=self._choice)
-        return self._estimate(Solver.of(problem), with_verdict=True)
+        return Solver.of(problem)
+
+    def _relinearize(self, found: Posterior) -> bool:
+        """Begin to linearize the rows about an estimate if it moved; return whether it did."""
+        calibration, worker = self._calibration, self._worker
+        if calibration is None or worker.is_relinearizing:
+            return False
+        build = calibration.better_rows(found, worker.build, self._accumulator.blocks.count)
+        if build is None:
+            return False
+        worker.relinearize(build)
+        return True
 
     def _solve_approximately(self, new: Sequence[BlockRows]) -> OnlineEstimate | None:
         problem = self._problem_with(self._accumulator.blocks)
@@ -287,6 +315,7 @@ class OnlineIdentification:
         problem, now = blocks, self._usable_rows(now)
         solver = Solver.approximate(problem, now, start)
         self._posterior = solver.posterior
+        self._relinearize(solver.posterior)
         if new:
             slips = self._choice is not None and self._choice.slips
             rows = [block.slipping() for block in new] if slips else new
@@ -338,10 +367,14 @@ class OnlineIdentification:
             for one in blocks.observations
             if one.rows.samples > 0 and one.window in (self._usable_windows or self._windows)
         )
-        return replace(self._problem, observations=observations)
+        build = self._worker.build
+        calibrated_rows = build if isinstance(build, CalibratingRows) else None
+        return replace(self._problem, observations=observations, calibrated_rows=calibrated_rows)
 
-    def _select_windows(self, span: TimeSpan) -> None:
+    def _prepare_rows(self, span: TimeSpan) -> None:
         """Use the windows that suit the rate; start with the middle one until they are compared.
+
+        Rows with sensor errors have other columns, and windows of their own.
 
         Raises
         ------
@@ -350,6 +383,16 @@ class OnlineIdentification:
         """
         rate = span.segments[0].rate
         check_windows(self._windows, rate, "live topics")
+        kinds = self._options.sensor_error_kinds
+        if kinds and self._calibration is None:
+            self._calibration = LiveCalibration(self._problem, span, kinds, self._tares)
+            self._problem, self._windows = (
+                self._calibration.extended.problem,
+                self._calibration.windows,
+            )
+            nothing = BlockAccumulator(self._calibration.no_observations, self._pace.memory)
+            self._worker.restart(nothing, self._calibration.first_rows, self._windows)
+            self._accumulator.restart(nothing, len(self._windows) - 1)
         self._usable_windows = suitable_windows(self._windows, rate)
         if self._windows[self._accumulator.window] not in self._usable_windows:
             middle = self._usable_windows[len(self._usable_windows) // 2]
@@ -375,16 +418,19 @@ class OnlineIdentification:
         return OnlineEstimate(found, parameters, self._until, window, solver.alarms, change)
 
     def reset(self) -> None:
-        """Discard everything except the prior."""
-        self._add_processed(self._worker.finish())
+        """Discard everything except the prior and the tares."""
+        self._worker.finish()
         self._scheduler.restart()
-        self._posterior = self._choice = None
+        initial = self._initial_state
+        self._posterior = self._choice = self._calibration = None
         self._relaxed_links.clear()
-        self._problem = replace(self._problem, prior=self._initial_state.problem.prior)
+        self._problem = replace(initial.problem, inputs=self._inputs)
+        self._windows = tuple(one.window for one in initial.observations)
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
-        self._restart_clock(
-            BlockAccumulator(self._initial_state.no_observations, self._pace.memory)
-        )
+        nothing = BlockAccumulator(initial.no_observations, self._pace.memory)
+        self._worker.restart(nothing, equation_rows(self._parameters), self._windows)
+        self._accumulator.restart(nothing, len(self._windows) // 2)
+        self._until = 0
 
     def set_memory(self, time_constant: float) -> None:
         """Change the time constant of forgetting, s; older data keep their present weight."""
@@ -406,6 +452,11 @@ class OnlineIdentification:
     def _submit(self, span: TimeSpan | None) -> None:
         if span is None:
             return
+        if not span.fault and self._options.sensor_error_kinds and self._calibration is None:
+            try:
+                self._prepare_rows(span)
+            except SymbidError as error:
+                span = replace(span, fault=str(error))
         if span.fault:
             self.lost_blocks += 1
             self.faults.append(span.fault)
@@ -420,9 +471,10 @@ class OnlineIdentification:
             self._accumulator.update_blocks(blocks)
 
     def _partial_rows(self, span: TimeSpan) -> BlockRows:
-        self._select_windows(span)
+        self._prepare_rows(span)
         # The noise level is estimated later, with the complete block: it doubles the run time.
-        return build_block_rows(span, self._build, [self._windows[self._accumulator.window]], ())
+        windows = [self._windows[self._accumulator.window]]
+        return build_block_rows(span, self._worker.build, windows, ())
 
     def _check_weight(self, shortest: Observations) -> None:
         if not self._options.unchecked:

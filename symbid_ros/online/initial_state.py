@@ -1,14 +1,17 @@
 """Initial state of an online identification: model, prior and data of an earlier run."""
 
 import logging
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from symbid_ros.choices import KINEMATIC_ERRORS
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.provenance import InputFile, digest, list_inputs
+from symbid_ros.identification.calibration import Tare
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prior_options import (
@@ -39,6 +42,8 @@ class InitialState:
         Data of an earlier run, for each window length.
     files : tuple of InputFile
         The model and the files that options name, with checksums.
+    tares : mapping of str to Tare
+        By frame of the wrench sensor.
     """
 
     options: IdentifyOptions
@@ -46,10 +51,16 @@ class InitialState:
     layout: RowLayout
     observations: tuple[Observations, ...]
     files: tuple[InputFile, ...]
+    tares: Mapping[str, Tare] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, robot: RobotModel, options: IdentifyOptions) -> "InitialState":
-        """Read the files that the options name.
+    def of(
+        cls,
+        robot: RobotModel,
+        options: IdentifyOptions,
+        tares: Mapping[str, Tare] | None = None,
+    ) -> "InitialState":
+        """Read the files that the options name; the caller reads their tares.
 
         Raises
         ------
@@ -82,7 +93,7 @@ class InitialState:
             else _load_earlier(options.information, no_observations)
         )
         files = tuple(map(digest, list_inputs((*model_files(Path(robot.source)), *options.files))))
-        return cls(options, problem, layout, observations, files)
+        return cls(options, problem, layout, observations, files, tares or {})
 
     @property
     def no_observations(self) -> tuple[Observations, ...]:
@@ -102,10 +113,16 @@ def _check_online(options: IdentifyOptions) -> None:
             "`filter` is not supported online, where rows are averaged over windows; remove it",
             "E503",
         )
-    if options.sensor_error_kinds:
+    kinds = options.sensor_error_kinds
+    if not set(KINEMATIC_ERRORS).isdisjoint(kinds):
         raise OptionError(
-            "`tare` and `sensor_errors` need several passes over a log; remove them, or record a "
-            "bag and run `symbid identify`",
+            "`sensor_errors` link_length and joint_axis need a complete log; leave them out, or "
+            "record a bag and run `symbid identify`",
+            "E503",
+        )
+    if kinds and options.information is not None:
+        raise OptionError(
+            "sensor errors belong to one run; leave `resume` out, or `sensor_errors` and `tare`",
             "E503",
         )
     if options.drive_gain:  # a robot file may name it, for logs

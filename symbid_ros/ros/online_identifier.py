@@ -14,11 +14,15 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
+from symbid_ros.bags import bag_log
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.provenance import Provenance, command_line
+from symbid_ros.identification.calibration import Tare, read_tare
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import check_output, export_urdf, write_identification
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.model.load import load_model
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.ros.estimate_topics import EstimateTopics
@@ -79,7 +83,9 @@ class OnlineIdentifier:
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
         model = load_model(*model_of(values))
-        self._initial_state = InitialState.of(model, identify_options(values))
+        options = identify_options(values)
+        topics = TopicSelection.of(log_options(values))
+        self._initial_state = InitialState.of(model, options, _read_tares(options, model, topics))
         self._parameters = self._initial_state.problem.parameters
         memory: float = values["memory"]
         self._pace = Pace(memory or float("inf"), values["lag"], values["row_share"])
@@ -89,7 +95,7 @@ class OnlineIdentifier:
         self._period: float = values["solve_period"]
         self._sensors = SensorTopics(
             node,
-            resolve_topics(node, TopicSelection.of(log_options(values)), sys.argv),
+            resolve_topics(node, topics, sys.argv),
             self._parameters.model,
             values["settle"],
             values["queue_depth"],
@@ -363,6 +369,14 @@ class OnlineIdentifier:
     def _perform_requests(self) -> None:
         while not self._requests.empty():
             self._requests.get().perform()
+
+
+def _read_tares(
+    options: IdentifyOptions, model: RobotModel, topics: TopicSelection
+) -> dict[str, Tare]:
+    """Return the tares in the bags that the options name."""
+    bags = [source for source in options.tare if isinstance(source, Path)]
+    return read_tare(bag_log(bags, model, topics)) if bags else {}
 
 
 def _summarize(newest: OnlineEstimate) -> str:

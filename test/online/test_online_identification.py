@@ -342,10 +342,11 @@ def test_forces_that_do_not_match_the_weight_are_refused(feed) -> None:
     ("chosen", "says"),
     [
         ({"filter": "butterworth"}, "`filter` is not supported online"),
-        ({"sensor_errors": ("plate_offset",)}, "several passes"),
+        ({"sensor_errors": ("link_length",)}, "complete log"),
+        ({"sensor_errors": ("typical",), "information": "earlier.npz"}, "belong to one run"),
         ({"rank": 3}, "truncates no singular values"),
     ],
-    ids=["filter", "sensor errors", "rank"],
+    ids=["filter", "kinematics", "resumed sensor errors", "rank"],
 )
 def test_options_that_need_a_complete_log_are_refused(start, chosen, says) -> None:
     with pytest.raises(EstimateError, match=says):

@@ -1,0 +1,120 @@
+"""Sensor errors as unknowns of a running identification, and when its rows are linearized anew.
+
+Rows are linear in sensor errors only near a linearization point. The first rows are linearized at
+the prior's mean. When the estimate has moved away from the point, the rows of the kept blocks are
+built again in the background, about the estimate: one step of Gauss-Newton, as in an offline run.
+All rows are equations for the unknowns themselves, not for their distances from the point, so rows
+of different points add up.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from symbid_ros.choices import SensorErrorKind
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.identification.accumulator import TimeSpan
+from symbid_ros.identification.calibration import (
+    ExtendedProblem,
+    SensorErrorRequest,
+    Tare,
+    calibration_windows,
+)
+from symbid_ros.identification.problem import Problem
+from symbid_ros.signals.sampled_rows import RowBuilder
+from symbid_ros.signals.sensor_errors import CalibratingRows
+
+# Bytes of aligned sensor data that are kept to be linearized again: 100 s of the Symbitron.
+MOST_KEPT = 32 << 20
+# Distance of the estimate from the linearization point, in posterior deviations per unknown, above
+# which rows are linearized again. The error of linear rows is of second order: a hundredth of a
+# deviation at this distance.
+MOVED = 1.0
+# Factor by which the number of blocks grows between two linearizations. Those of this many blocks
+# are allowed at any time.
+AGAIN = 2
+FEW = 4
+
+
+class LiveCalibration:
+    """The unknown sensor errors of a running identification.
+
+    Parameters
+    ----------
+    problem : Problem
+        Without sensor errors and observations.
+    first : TimeSpan
+        First sensor data, with segments. They tell the frames of the sensors and the rate.
+    kinds : tuple of str
+        Kinds of errors.
+    tares : mapping of str to Tare
+        By frame of the wrench sensor.
+
+    Attributes
+    ----------
+    extended : ExtendedProblem
+    windows : tuple of float
+        Window lengths of the rows, s. The last one is solved.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        first: TimeSpan,
+        kinds: tuple[SensorErrorKind, ...],
+        tares: Mapping[str, Tare],
+    ) -> None:
+        segment = first.segments[0]
+        self.extended = ExtendedProblem.of(
+            problem,
+            segment.wrench_frames,
+            segment.imu_frames,
+            SensorErrorRequest(kinds, tares),
+            segment,
+        )
+        self.windows = calibration_windows(segment.rate)
+        self._linearized_at = 0
+
+    @property
+    def first_rows(self) -> CalibratingRows:
+        """Builds rows about the prior's mean."""
+        return self.extended.rows(self.extended.prior_point)
+
+    @property
+    def no_observations(self) -> tuple[Observations, ...]:
+        """Empty observations, one for each window length."""
+        candidates = self.extended.problem.parameters.candidates
+        return tuple(
+            Observations.empty(self.extended.layout, window, candidates=candidates)
+            for window in self.windows
+        )
+
+    def better_rows(self, found: Posterior, used: RowBuilder, count: int) -> CalibratingRows | None:
+        """Return what builds rows about an estimate; None if those in use are good enough.
+
+        Parameters
+        ----------
+        found : Posterior
+            The estimate, perhaps without joint terms that the data do not ask for.
+        used : RowBuilder
+            Builds the rows in use.
+        count : int
+            Number of blocks so far.
+        """
+        assert isinstance(used, CalibratingRows)
+        if count > FEW and count < AGAIN * self._linearized_at:
+            return None
+        problem, point = self.extended.problem, used.linearization
+        names = problem.prior.names
+        columns = [names.index(name) for name in found.prior.names]
+        unknowns = problem.prior.mean.copy()
+        unknowns[columns] = found.mean
+        better = self.extended.point(unknowns)
+        moved = np.concatenate([better.phi - point.phi, better.theta - point.theta])
+        # Rows are linear in joint terms.
+        moved[problem.parameters.inertial : len(problem.parameters)] = 0.0
+        if np.linalg.norm(found.factor @ moved[columns]) < MOVED * np.sqrt(len(columns)):
+            return None
+        self._linearized_at = count
+        return self.extended.rows(better)
