@@ -182,7 +182,7 @@ def _snapshot(time: float, outcome: OnlineEstimate, parameters: ParameterSet) ->
     assert estimate.std is not None
     return Snapshot(
         time,
-        "" if change is None else " or ".join(one.link for one in change.suspects),
+        "" if change is None else " or ".join(one.subject for one in change.suspects),
         parameters.link_phi(estimate.value)[:, 0],
         parameters.link_phi(estimate.std)[:, 0],
     )

@@ -248,10 +248,9 @@ def averaged_equation_of_motion(
     """
     model = parameters.model
     layout = PackedLayout.of(parameters)
-    phi = np.zeros((1 + len(parameters.payloads), parameters.inertial))
-    phi[0] = parameters.load_reference
-    for place, payload in enumerate(parameters.payloads, start=1):
-        phi[place].reshape(-1, 10)[np.searchsorted(parameters.links, payload.link)] = payload.phi
+    wanted = [parameters.load_reference]
+    wanted += [_of_link(parameters, payload.link, payload.phi) for payload in parameters.payloads]
+    phi = np.array(wanted)
     if "load" not in parameters.terms and not parameters.payloads:
         phi = phi[:0]
     K = np.zeros((weights.shape[0], model.dof, len(parameters)))
@@ -271,6 +270,45 @@ def averaged_equation_of_motion(
     if parameters.known_terms:
         y -= known_force(parameters, samples)
     return K, y
+
+
+def equation_residual(parameters: ParameterSet, samples: Samples, phi: FloatArray) -> FloatArray:
+    """Return y - K φ (N, n) of a block of samples for φ (p,), without storing K if possible.
+
+    The rows are those of :func:`equation_of_motion`.
+    """
+    model = parameters.model
+    if not has_linear_rows(parameters):
+        rows = equation_of_motion(parameters, samples)
+        return np.asarray(rows.y - rows.K @ phi)
+    wanted = [phi[: parameters.inertial], parameters.load_reference]
+    wanted += [_of_link(parameters, payload.link, payload.phi) for payload in parameters.payloads]
+    none = csr_array((0, len(samples)))
+    _, y, forces = averaged_rows(parameters, samples, none, np.array(wanted))
+    own = np.zeros_like(y)
+    for coordinates, places, factor in _term_entries(parameters, samples):
+        if len(np.unique(coordinates)) == len(coordinates):
+            own[:, coordinates] += factor * phi[places]
+        else:  # of one joint's ripple
+            own[:, coordinates[0]] += factor @ phi[places]
+    for force in (*forces, own):
+        model.fold_followers(force)
+    for payload, force in zip(parameters.payloads, forces[2:], strict=True):
+        y -= payload.is_carried(samples.stamp)[:, None] * force
+    if "load" in parameters.terms:
+        columns = parameters.term_columns["load"]
+        factor = load_column(parameters, samples, forces[1], y)[:, parameters.joints]
+        own[:, 6 * model.floating + parameters.joints] += factor * phi[columns]
+    if parameters.known_terms:
+        y -= known_force(parameters, samples)
+    return np.asarray(y - forces[0] - own)
+
+
+def _of_link(parameters: ParameterSet, link: int, phi: FloatArray) -> FloatArray:
+    """Return inertial parameters that are zero but for those of one link, φ (10,)."""
+    all_links = np.zeros((parameters.inertial // 10, 10))
+    all_links[np.searchsorted(parameters.links, link)] = phi
+    return all_links.reshape(-1)
 
 
 def known_force(parameters: ParameterSet, samples: Samples) -> FloatArray:

@@ -34,6 +34,58 @@ DISTINGUISHABLE = 10.0
 LEAST_WEIGHT = 0.25
 
 
+# A sensor's error changes by this many typical errors: a plate that was hit or an amplifier that
+# was set to zero.
+SENSOR_CHANGE = 5.0
+
+
+@dataclass(frozen=True)
+class SensorHypothesis:
+    """An error of one sensor that may have changed.
+
+    Attributes
+    ----------
+    subject : str
+        ``<sensor>/<kind of error>``.
+    names, units : tuple of str
+        Of its k components; names are those of the unknowns.
+    std : (k,) float64
+        Deviations of a change.
+    """
+
+    subject: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    std: FloatArray
+
+
+@dataclass(frozen=True)
+class SensorChange:
+    """Estimated change of one sensor's error, under the hypothesis that only it has changed.
+
+    Attributes
+    ----------
+    sensor : SensorHypothesis
+    evidence, fit : float
+        As of :class:`LinkChange`, nat.
+    error : (k,) float64
+        Change of the components.
+    std : (k,) float64
+        Standard deviations of the change.
+    """
+
+    sensor: SensorHypothesis
+    evidence: float
+    fit: float
+    error: FloatArray
+    std: FloatArray
+
+    @property
+    def subject(self) -> str:
+        """``<sensor>/<kind of error>``."""
+        return self.sensor.subject
+
+
 @dataclass(frozen=True)
 class LinkChange:
     """Estimated change of one link, under the hypothesis that only this link has changed.
@@ -58,6 +110,11 @@ class LinkChange:
     phi: FloatArray
     std: FloatArray
 
+    @property
+    def subject(self) -> str:
+        """Name of the link."""
+        return self.link
+
 
 @dataclass(frozen=True)
 class Innovation:
@@ -67,27 +124,30 @@ class Innovation:
     ----------
     misfit : float
         Mean square of the normalised innovation, 1 without a change.
-    links : tuple of LinkChange
-        One hypothesis per link, largest evidence first.
+    changes : tuple of LinkChange or SensorChange
+        One hypothesis for each link and sensor error, largest evidence first.
     """
 
     misfit: float
-    links: tuple[LinkChange, ...]
+    changes: tuple[LinkChange | SensorChange, ...]
 
-    def suspects(self, usual: float = 1.0) -> tuple[LinkChange, ...]:
-        """Return the links that explain the new rows about as well as the best one, best first.
+    def suspects(self, usual: float = 1.0) -> tuple[LinkChange | SensorChange, ...]:
+        """Return the changes that explain the new rows about as well as the best one, best first.
 
         Parameters
         ----------
         usual : float
             Misfit of rows without a change, by which log-likelihoods are too large.
         """
-        least = self.links[0].fit - DISTINGUISHABLE * usual
-        return tuple(link for link in self.links if link.fit >= least)
+        least = self.changes[0].fit - DISTINGUISHABLE * usual
+        return tuple(change for change in self.changes if change.fit >= least)
 
 
 def innovation(
-    earlier: Posterior, recent: Sequence[WindowedRows], parameters: ParameterSet
+    earlier: Posterior,
+    recent: Sequence[WindowedRows],
+    parameters: ParameterSet,
+    sensors: Sequence[SensorHypothesis] = (),
 ) -> Innovation:
     """Compare new rows with the prediction from earlier rows.
 
@@ -99,41 +159,60 @@ def innovation(
     recent : sequence of WindowedRows
         New rows, at least one.
     parameters : ParameterSet
-        Columns of the rows and the posterior.
+        The robot's columns of the rows, of which the posterior may lack joint terms.
+    sensors : sequence of SensorHypothesis
+        Sensor errors, whose columns follow in this order.
     """
-    count = len(earlier.mean)
+    names = [*parameters.names, *(name for sensor in sensors for name in sensor.names)]
+    place = {name: index for index, name in enumerate(names)}
+    kept = [place[name] for name in earlier.prior.names]
+    count = len(kept)
     root = cholesky(earlier.covariance, lower=True)
     whitening = np.asarray(np.linalg.inv(root), dtype=np.float64)
-    factor = _whitened_factor(recent, whitening)
+    factor = _whitened_factor(recent, whitening, kept)
     A, b = factor[:count, :count], factor[:count, count]
     spread = A @ earlier.deviation_factor
     root = cholesky(np.eye(count) + spread @ spread.T, lower=True)
     unexpected = solve_triangular(root, b - A @ earlier.mean, lower=True)
     response = solve_triangular(root, A, lower=True)
-    changes = []
-    for index, scale in enumerate(payload_std(parameters, earlier.prior.mean)):
-        M = response[:, 10 * index : 10 * index + 10] * scale
-        H = np.eye(10) + M.T @ M
+
+    def likely(columns: slice, scale: FloatArray) -> tuple[float, float, FloatArray, FloatArray]:
+        """Return evidence, fit, size and deviations of a change of some unknowns."""
+        M = response[:, columns] * scale
+        H = np.eye(len(scale)) + M.T @ M
         g = M.T @ unexpected
         delta = np.linalg.solve(H, g)
-        changes.append(
-            LinkChange(
-                parameters.link_names[index],
-                float(g @ delta - np.linalg.slogdet(H)[1]) / 2,
-                float(g @ delta - np.sum((M @ delta) ** 2) / 2),
-                scale * delta,
-                scale * np.sqrt(np.linalg.inv(H).diagonal()),
-            )
+        return (
+            float(g @ delta - np.linalg.slogdet(H)[1]) / 2,
+            float(g @ delta - np.sum((M @ delta) ** 2) / 2),
+            scale * delta,
+            scale * np.sqrt(np.linalg.inv(H).diagonal()),
         )
+
+    changes: list[LinkChange | SensorChange] = [
+        LinkChange(link, *likely(slice(10 * index, 10 * index + 10), scale))
+        for index, (link, scale) in enumerate(
+            zip(parameters.link_names, payload_std(parameters, earlier.prior.mean), strict=True)
+        )
+    ]
+    start = count - sum(len(sensor.names) for sensor in sensors)
+    for sensor in sensors:
+        columns = slice(start, start := start + len(sensor.names))
+        changes.append(SensorChange(sensor, *likely(columns, sensor.std)))
     return Innovation(
         misfit=float(unexpected @ unexpected) / count,
-        links=tuple(sorted(changes, key=lambda change: -change.evidence)),
+        changes=tuple(sorted(changes, key=lambda change: -change.evidence)),
     )
 
 
-def _whitened_factor(recent: Sequence[WindowedRows], whitening: FloatArray) -> FloatArray:
-    """Return the triangular factor (p + 1, p + 1) of all rows G [K y]."""
-    flat = [np.concatenate([part.mean.K, part.mean.y[:, :, None]], axis=2) for part in recent]
+def _whitened_factor(
+    recent: Sequence[WindowedRows], whitening: FloatArray, kept: Sequence[int]
+) -> FloatArray:
+    """Return the triangular factor (q + 1, q + 1) of all rows G [K y] with some columns of K."""
+    flat = [
+        np.concatenate([part.mean.K[:, :, kept], part.mean.y[:, :, None]], axis=2)
+        for part in recent
+    ]
     rows = whitening @ np.concatenate(flat)
     return stacked_factor(rows.reshape(-1, rows.shape[2]))
 
@@ -157,6 +236,18 @@ def relaxed_prior(prior: Prior, parameters: ParameterSet, link: str) -> Prior:
     index = parameters.link_names.index(link)
     added = np.zeros(len(prior.mean))
     added[10 * index : 10 * index + 10] = payload_std(parameters, prior.mean)[index]
+    return _with_variance(prior, added)
+
+
+def relaxed_sensor_prior(prior: Prior, sensor: SensorHypothesis) -> Prior:
+    """Return the prior after a sensor's error changed by an unknown amount."""
+    added = np.zeros(len(prior.mean))
+    added[[prior.names.index(name) for name in sensor.names]] = sensor.std
+    return _with_variance(prior, added)
+
+
+def _with_variance(prior: Prior, added: FloatArray) -> Prior:
+    """Return the prior of parameters to which independent ones with deviations (p,) are added."""
     std = np.hypot(prior.std, added)
     if prior.factor is None:
         return replace(prior, std=std)

@@ -172,9 +172,9 @@ class GroupMoments:
 
     def restricted(self, layout: RowLayout) -> "GroupMoments":
         """Return the moments for a layout with some of the parameters, the others being zero."""
-        parts = []
+        parts, places = [], _places(self.layout, layout)
         for part in self.parts:
-            kept = np.isin(self.layout.columns[part.coordinate], _places(self.layout, layout))
+            kept = np.isin(self.layout.columns[part.coordinate], places)
             used = np.append(kept, True)
             place = np.cumsum(used) - 1
             some = used[part.left]

@@ -11,6 +11,7 @@ from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.group_moments import GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout
+from symbid_ros.estimation.unfolded_rows import UnfoldedRows
 from symbid_ros.signals.sampled_rows import SampledRows
 from symbid_ros.signals.weak_form import INFLATION, WindowedRows
 
@@ -117,7 +118,8 @@ class Observations:
         noisy = [block for block in kept if block.noise is not None]
         flat = layout.flatten([block.mean for block in kept])
         noise = layout.flatten([block.noise for block in noisy if block.noise is not None])
-        found = self._fold_flat(flat, noise, np.concatenate([one.valid for one in kept]), stamp)
+        valid = np.concatenate([one.valid for one in kept])
+        found = self._fold_flat(flat, noise, valid, stamp)
         if self.slipping is None:
             return found
         slips = _slipping_coordinates(kept)
@@ -125,6 +127,26 @@ class Observations:
         if noisy:
             noise *= layout.spread(_slipping_coordinates(noisy))
         return replace(found, slipping=self.slipping._fold_flat(flat, noise, slips, stamp))
+
+    def with_few(self, blocks: Iterable[WindowedRows]) -> "Observations":
+        """Return the observations with a few more rows, of which groups and noise are not known.
+
+        It takes a fraction of the time of :meth:`fold`.
+        """
+        kept = list(blocks)
+        if not kept:
+            return self
+        flat = self.layout.flatten([block.mean for block in kept])
+
+        def extended(one: Observations, valid: BoolArray) -> Observations:
+            used = valid.astype(np.float64)
+            rows = UnfoldedRows.added(one.rows, flat * self.layout.spread(valid))
+            return replace(one, rows=rows, counts=one.counts + used.T @ used)
+
+        found = extended(self, np.concatenate([one.valid for one in kept]))
+        if self.slipping is None:
+            return found
+        return replace(found, slipping=extended(self.slipping, _slipping_coordinates(kept)))
 
     def _fold_flat(
         self, flat: FloatArray, noise: FloatArray, valid: BoolArray, stamp: IntArray

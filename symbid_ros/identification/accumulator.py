@@ -192,7 +192,10 @@ class Accumulator:
         self._pieces.append(piece)
         since = piece.start if self._stop is None else self._stop
         weight = _remaining_weight(piece.stop - since, self.blocks.time_constant)
-        self.current = _fold(self.current, weight, piece.of_window(self.current.window))
+        current = self.current if weight == 1.0 else self.current.discounted(weight)
+        rows = piece.of_window(current.window)
+        # Without a complete block, joint terms are chosen from the pieces, which needs all moments.
+        self.current = current.with_few(rows) if self.blocks.count else current.fold(rows)
         self._stop = piece.stop
 
     def update_blocks(self, blocks: BlockAccumulator) -> None:

@@ -1,7 +1,7 @@
 """Sensor errors as further unknowns, and tares, which give priors of wrench sensors' offsets."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,6 +28,7 @@ from symbid_ros.signals.sensor_errors import (
     LinearizationPoint,
     SensorErrors,
 )
+from symbid_ros.signals.streams import WrenchStream
 from symbid_ros.signals.weak_form import ALL_WINDOWS, FORCES, MOTION, suitable_windows
 
 logger = logging.getLogger(__name__)
@@ -83,20 +84,24 @@ def read_tare(log: Log) -> dict[str, Tare]:
         When there is no unloaded sensor, or a reading is NaN or infinite.
     """
     streams = log.streams()
+    return tares_of(streams.wrenches, streams.source)
+
+
+def tares_of(wrenches: Iterable[WrenchStream], source: str) -> dict[str, Tare]:
+    """Return what :func:`read_tare` does, from streams of a log or of topics named ``source``."""
     tares = {}
-    for wrench in streams.wrenches:
+    for wrench in wrenches:
         readings = np.concatenate([wrench.torque, wrench.force], axis=1)
         if not np.all(np.isfinite(readings)):
             raise DataError(
-                f"{streams.source}: {wrench.topic} has a NaN or infinite reading; record the "
-                "`tare` again",
+                f"{source}: {wrench.topic} has a NaN or infinite reading; record the `tare` again",
                 "E515",
             )
         mean = readings.mean(axis=0)
         if np.linalg.norm(mean[3:]) > UNLOADED:
             logger.warning(
                 "%s: %s reads %.0f N, so it is loaded and not tared",
-                streams.source,
+                source,
                 wrench.topic,
                 np.linalg.norm(mean[3:]),
             )
@@ -106,8 +111,8 @@ def read_tare(log: Log) -> dict[str, Tare]:
         tares[wrench.frame_id] = Tare(mean, np.maximum(std, 1e-4))
     if not tares:
         raise DataError(
-            f"{streams.source}: no unloaded wrench sensor; record the topics of the sensors with "
-            "nothing touching them for the `tare`",
+            f"{source}: no unloaded wrench sensor; record the topics of the sensors with nothing "
+            "touching them for the `tare`",
             "E514",
         )
     return tares

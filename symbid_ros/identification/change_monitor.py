@@ -1,4 +1,4 @@
-"""Detection of changes of a robot's inertias from live rows."""
+"""Detection of changes of a robot's inertias and sensor errors from live rows."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symbid_ros.estimation.change import Innovation, LinkChange, innovation
+from symbid_ros.estimation.change import (
+    Innovation,
+    LinkChange,
+    SensorChange,
+    SensorHypothesis,
+    innovation,
+)
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.identification.accumulator import BlockRows
 from symbid_ros.model.parameters import ParameterSet
@@ -33,34 +39,41 @@ class Change:
     ----------
     since : int
         Stamp of the first rows that showed it, ns.
-    suspects : tuple of LinkChange
-        The link that best explains the rows since then and those that explain them about as well,
-        each with the change it would need.
+    suspects : tuple of LinkChange or SensorChange
+        The link or sensor error that best explains the rows since then and those that explain them
+        about as well, each with the change it would need.
     """
 
     since: int
-    suspects: tuple[LinkChange, ...]
+    suspects: tuple[LinkChange | SensorChange, ...]
 
     @property
-    def suspect(self) -> LinkChange:
-        """The link that best explains the rows since the change."""
+    def suspect(self) -> LinkChange | SensorChange:
+        """The link or sensor error that best explains the rows since the change."""
         return self.suspects[0]
+
+    @property
+    def links(self) -> tuple[LinkChange, ...]:
+        """The links among the suspects."""
+        return tuple(one for one in self.suspects if isinstance(one, LinkChange))
 
     def __str__(self) -> str:
         """Return the text of the alarm."""
-        names = [suspect.link for suspect in self.suspects]
+        names = [suspect.subject for suspect in self.suspects]
         since = f"changed since {self.since * 1e-9:.1f} s"
         if len(names) == 1:
             return f"{names[0]} has {since}: {_describe(self.suspect)}"
-        amounts = ", ".join(f"{_describe(one)} on {one.link}" for one in self.suspects)
+        amounts = ", ".join(f"{_describe(one)} on {one.subject}" for one in self.suspects)
         return (
             f"{', '.join(names[:-1])} or {names[-1]} has {since}, the motion does not tell which: "
             f"{amounts}"
         )
 
 
-def _describe(change: LinkChange) -> str:
-    """Return the added mass and, if known, its position in the link's frame."""
+def _describe(change: LinkChange | SensorChange) -> str:
+    """Return the change of a sensor's error, or the added mass and, if known, its position."""
+    if isinstance(change, SensorChange):
+        return _describe_error(change)
     mass, std = change.phi[0], change.std[0]
     place = ""
     if abs(mass) > 3 * std:
@@ -71,6 +84,20 @@ def _describe(change: LinkChange) -> str:
     return f"{mass:+.{decimals}f} ± {std:.{decimals}f} kg{place}"
 
 
+def _describe_error(change: SensorChange) -> str:
+    """Return the components that have changed clearly, or else the one that has most clearly."""
+    clarity = np.abs(change.error) / change.std
+    shown = np.flatnonzero(clarity >= min(3.0, clarity.max())).tolist()
+    sensor = change.sensor
+    parts = []
+    for index in shown:
+        channel = sensor.names[index].removeprefix(sensor.subject).strip("_")
+        unit = "" if sensor.units[index] == "1" else f" {sensor.units[index]}"
+        amount = f"{change.error[index]:+.3g} ± {change.std[index]:.1g}{unit}"
+        parts.append(f"{channel} {amount}".strip())
+    return ", ".join(parts)
+
+
 class ChangeMonitor:
     """Tests whether new rows agree with the posterior from before them.
 
@@ -78,6 +105,8 @@ class ChangeMonitor:
     ----------
     parameters : ParameterSet
         The robot's columns.
+    sensors : sequence of SensorHypothesis
+        Sensor errors, whose columns follow.
 
     Attributes
     ----------
@@ -87,8 +116,8 @@ class ChangeMonitor:
         Of the last update, relative to the usual misfit; NaN before the first test.
     """
 
-    def __init__(self, parameters: ParameterSet) -> None:
-        self._parameters = parameters
+    def __init__(self, parameters: ParameterSet, sensors: Sequence[SensorHypothesis] = ()) -> None:
+        self._parameters, self._sensors = parameters, sensors
         self._usual: deque[float] = deque(maxlen=USUAL)
         self.evidence = float("nan")
         self.change: Change | None = None
@@ -132,7 +161,7 @@ class ChangeMonitor:
         self, found: Innovation, recent: Sequence[BlockRows], rows: Sequence[BlockRows]
     ) -> None:
         usual = max([1.0, *self._usual])
-        self.evidence = found.links[0].evidence / usual
+        self.evidence = found.changes[0].evidence / usual
         is_loud = self.evidence > ALARMING and self.is_ready
         if self._before is None and self.change is None:
             if is_loud:
@@ -155,4 +184,4 @@ class ChangeMonitor:
 
     def _innovation(self, before: Posterior, blocks: Sequence[BlockRows]) -> Innovation | None:
         rows = [part for block in blocks for part in block.parts if len(part.valid)]
-        return innovation(before, rows, self._parameters) if rows else None
+        return innovation(before, rows, self._parameters, self._sensors) if rows else None

@@ -113,27 +113,10 @@ class TermChoice:
             joints[names[ripple.joint]] += ripple.terms
         return joints | {coupling.label: terms for coupling, terms in self._coupled.items()}
 
-    def applied(self, problem: Problem, *, all_columns: bool = False) -> Problem:
-        """Return a problem of all candidates with this choice.
-
-        Parameters
-        ----------
-        problem : Problem
-            With the columns of all candidates.
-        all_columns : bool
-            Whether terms that no joint has remain as fixed parameters.
-        """
+    def applied(self, problem: Problem) -> Problem:
+        """Return a problem, which has the columns of all candidates, with this choice."""
         observations = self.rows(problem.observations)
         prior = fixed_prior(problem.prior, self.free)
-        if all_columns:
-            parameters = replace(problem.parameters, signed_drives=self.signed_drives)
-            return replace(
-                problem,
-                observations=observations,
-                prior=prior,
-                parameters=parameters,
-                term_deviations=self.deviations,
-            )
         parameters = replace(
             self.parameters,
             terms=self.terms,

@@ -127,10 +127,23 @@ class Solver:
 
     @classmethod
     def approximate(
-        cls, problem: Problem, chosen: Observations, start: FloatArray | None
+        cls,
+        problem: Problem,
+        chosen: Observations,
+        start: FloatArray | None,
+        *,
+        is_coupled: bool | None = None,
     ) -> "Solver":
-        """Solve one window length to a hundredth of a standard deviation, from a near start."""
-        found, chosen = _solve(problem, chosen, start, COMPARABLE, approximate=True)
+        """Solve one window length to a hundredth of a standard deviation, from a near start.
+
+        ``is_coupled`` tells whether to weight rows by covariances between coordinates, if an
+        earlier solution from nearly the same data has tested it.
+        """
+        if is_coupled is None:
+            found, chosen = _solve(problem, chosen, start, COMPARABLE, approximate=True)
+        else:
+            chosen = replace(chosen, is_coupled=is_coupled)
+            found = solve_window(problem, chosen, start, COMPARABLE, approximate=True)
         return cls(problem, chosen, _with_all_errors(problem, found, chosen))
 
     @property

@@ -74,7 +74,7 @@ class BlockWorker:
 
     def _keep_none(self, accumulated: BlockAccumulator) -> None:
         self._accumulated = self._final = accumulated
-        self._kept: list[TimeSpan] = []
+        self._kept: list[TimeSpan | None] = []  # None where the clock was restarted
         self._bytes = 0
 
     @property
@@ -149,6 +149,15 @@ class BlockWorker:
         self._build = build or self._build
         self._windows = self._windows if windows is None else tuple(windows)
 
+    def restart_clock(self) -> BlockAccumulator:
+        """Return the accumulator, to which blocks with any later stamps may be added.
+
+        The queue must be empty.
+        """
+        self._accumulated = self._accumulated.with_new_clock()
+        self._kept.append(None)
+        return self._accumulated
+
     def close(self) -> None:
         """Discard queued blocks and stop the thread."""
         self._skip_pauses.set()
@@ -178,9 +187,11 @@ class BlockWorker:
             return
         if pending.done < len(self._kept):
             start = time.thread_time()
-            pending.accumulated = _with_block(
-                pending.accumulated, self._kept[pending.done], pending.build, self._windows
-            )
+            accumulated, block = pending.accumulated, self._kept[pending.done]
+            if block is None:
+                pending.accumulated = accumulated.with_new_clock()
+            else:
+                pending.accumulated = _with_block(accumulated, block, pending.build, self._windows)
             pending.done += 1
             self._pause(time.thread_time() - start)
         if pending.done == len(self._kept):

@@ -7,7 +7,7 @@ with their block.
 
 import logging
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -16,10 +16,11 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.wrist_evidence import check_signs
 from symbid_ros.errors import DataError, SymbidError
-from symbid_ros.estimation.change import relaxed_prior
+from symbid_ros.estimation.change import LinkChange, relaxed_prior, relaxed_sensor_prior
 from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.accumulator import (
     Accumulator,
     BlockAccumulator,
@@ -27,6 +28,7 @@ from symbid_ros.identification.accumulator import (
     TimeSpan,
     build_block_rows,
 )
+from symbid_ros.identification.calibration import Tare
 from symbid_ros.identification.change_monitor import Change, ChangeMonitor
 from symbid_ros.identification.joint_terms import TermChoice, choose_terms
 from symbid_ros.identification.problem import Problem, Truncation, check_weight
@@ -51,7 +53,7 @@ logger = logging.getLogger(__name__)
 RECENT_FAULTS = 10
 POSTURE_TIME = 50_000_000  # ns; every part of a robot publishes its joints within this time
 # Factor by which the number of blocks grows between two choices of the joint terms.
-CHOOSE_AGAIN = 1.25
+CHOOSE_AGAIN = 1.5
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,6 @@ class OnlineIdentification:
         topics = tuple(topic.name for topic in selected.all)
         self._inputs = (*initial_state.problem.inputs, *topics)
         self._problem = replace(initial_state.problem, inputs=self._inputs)
-        self._tares = dict(initial_state.tares)
         self._calibration: LiveCalibration | None = None
         self._scheduler = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
@@ -156,7 +157,10 @@ class OnlineIdentification:
         self._posterior: Posterior | None = None
         self._choice: TermChoice | None = None
         self._chosen_at = 0
-        self._relaxed_links: set[str] = set()
+        self._relaxed: set[str] = set()
+        # Each with the number of blocks from which it was found.
+        self._is_coupled: tuple[int, bool] | None = None
+        self._candidate_prior: tuple[int, Prior, Prior] | None = None
         self._until = 0
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
         # Windows that suit the topics' rate; empty until the rate is known.
@@ -222,9 +226,7 @@ class OnlineIdentification:
                 (streams.buffers[topic].newest or 0) * 1e-9,
             )
             self.clock_jumps += 1
-            self._submit(self._scheduler.restart())
-            self._add_processed(self._worker.finish())
-            self._restart_clock(self._accumulator.blocks.with_new_clock())
+            self._restart_clock()
         streams.add(topic, stamp, payload)
 
     def advance(self) -> None:
@@ -283,7 +285,8 @@ class OnlineIdentification:
             return None
         self._check_weight(problem.observations[0])
         if self._parameters.candidates:
-            problem = self._with_candidate_prior(problem)
+            prior = candidate_prior(problem.prior, self._parameters, problem.observations[0])
+            problem = replace(problem, prior=prior)
             self._choice = choose_terms(problem)
             problem = replace(self._choice.applied(problem), choice=self._choice)
         return Solver.of(problem)
@@ -310,10 +313,13 @@ class OnlineIdentification:
             self._choose_window(blocks)
             now = self._accumulator.current
         self._check_weight(now)
-        last = self._posterior
-        start = None if last is None else last.mean
-        problem, now = blocks, self._usable_rows(now)
-        solver = Solver.approximate(problem, now, start)
+        problem, now = blocks, self._usable_rows(now).restricted(blocks.prior.names)
+        # Whether covariances may be weights is tested with each complete block.
+        count, tested = self._accumulator.blocks.count, self._is_coupled
+        is_coupled = tested[1] if tested is not None and tested[0] == count else None
+        start = self._start(problem.prior)
+        solver = Solver.approximate(problem, now, start, is_coupled=is_coupled)
+        self._is_coupled = count, solver.chosen.is_coupled
         self._posterior = solver.posterior
         self._relinearize(solver.posterior)
         if new:
@@ -322,6 +328,15 @@ class OnlineIdentification:
             self._monitor.update(rows, solver.posterior)
             self._relax_priors()
         return self._estimate(solver, with_verdict=False)
+
+    def _start(self, prior: Prior) -> FloatArray | None:
+        """Return the last estimate, or else the mean, of a prior's parameters."""
+        last = self._posterior
+        if last is None:
+            return None
+        known = dict(zip(last.prior.names, last.mean.tolist(), strict=True))
+        means = zip(prior.names, prior.mean.tolist(), strict=True)
+        return np.array([known.get(name, mean) for name, mean in means])
 
     def _choose_terms(self, problem: Problem) -> Problem:
         """Return the problem with the joint terms that the data ask for.
@@ -338,11 +353,14 @@ class OnlineIdentification:
             self._choice, self._chosen_at = choose_terms(problem, before), max(count, 1)
             if before is not None and before.slips != self._choice.slips:
                 self._monitor.restart()
-        return self._choice.applied(problem, all_columns=True)
+        return self._choice.applied(problem)
 
     def _with_candidate_prior(self, problem: Problem) -> Problem:
-        prior = candidate_prior(problem.prior, self._parameters, problem.observations[0])
-        return replace(problem, prior=prior)
+        count, known = self._accumulator.blocks.count, self._candidate_prior
+        if known is None or not count or known[0] != count or known[1] is not problem.prior:
+            prior = candidate_prior(problem.prior, self._parameters, problem.observations[0])
+            known = self._candidate_prior = count, problem.prior, prior
+        return replace(problem, prior=known[2])
 
     def _usable_rows(self, observations: Observations) -> Observations:
         """Return the rows that the chosen terms allow; all if none of them slips yet."""
@@ -351,15 +369,20 @@ class OnlineIdentification:
         return next(iter(self._choice.rows((observations,))), observations)
 
     def _relax_priors(self) -> None:
-        """Relax the prior of every link that may have changed, if old data are forgotten."""
+        """Relax the prior of links and errors that may have changed, if old data are forgotten."""
         change = self._monitor.change
         if change is None or np.isinf(self._pace.memory):
             return
         for suspect in change.suspects:
-            if suspect.link not in self._relaxed_links:
-                self._relaxed_links.add(suspect.link)
-                prior = relaxed_prior(self._problem.prior, self._parameters, suspect.link)
-                self._problem = replace(self._problem, prior=prior)
+            if suspect.subject in self._relaxed:
+                continue
+            self._relaxed.add(suspect.subject)
+            prior = self._problem.prior
+            if isinstance(suspect, LinkChange):
+                prior = relaxed_prior(prior, self._parameters, suspect.link)
+            else:
+                prior = relaxed_sensor_prior(prior, suspect.sensor)
+            self._problem = replace(self._problem, prior=prior)
 
     def _problem_with(self, blocks: BlockAccumulator) -> Problem:
         observations = tuple(
@@ -385,12 +408,14 @@ class OnlineIdentification:
         check_windows(self._windows, rate, "live topics")
         kinds = self._options.sensor_error_kinds
         if kinds and self._calibration is None:
-            self._calibration = LiveCalibration(self._problem, span, kinds, self._tares)
+            tares = self._initial_state.tares
+            self._calibration = LiveCalibration(self._problem, span, kinds, tares)
             self._problem, self._windows = (
                 self._calibration.extended.problem,
                 self._calibration.windows,
             )
             nothing = BlockAccumulator(self._calibration.no_observations, self._pace.memory)
+            self._monitor = ChangeMonitor(self._parameters, self._calibration.hypotheses)
             self._worker.restart(nothing, self._calibration.first_rows, self._windows)
             self._accumulator.restart(nothing, len(self._windows) - 1)
         self._usable_windows = suitable_windows(self._windows, rate)
@@ -423,7 +448,7 @@ class OnlineIdentification:
         self._scheduler.restart()
         initial = self._initial_state
         self._posterior = self._choice = self._calibration = None
-        self._relaxed_links.clear()
+        self._relaxed.clear()
         self._problem = replace(initial.problem, inputs=self._inputs)
         self._windows = tuple(one.window for one in initial.observations)
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
@@ -431,6 +456,25 @@ class OnlineIdentification:
         self._worker.restart(nothing, equation_rows(self._parameters), self._windows)
         self._accumulator.restart(nothing, len(self._windows) // 2)
         self._until = 0
+
+    def set_tares(self, tares: Mapping[str, Tare]) -> str:
+        """Use what unloaded wrench sensors read, by frame, as priors of their offsets.
+
+        Data from before are discarded if they contradict a tare, because the offset was another
+        one. Returns what was done, as text.
+        """
+        self._initial_state = replace(
+            self._initial_state, tares={**self._initial_state.tares, **tares}
+        )
+        self._restart_clock()  # the messages of the tare are missing
+        calibration, found = self._calibration, self._posterior
+        if calibration is None or found is None:
+            return "the offsets are used from now on"
+        if calibration.contradicts(found, tares):
+            self.reset()
+            return "the offsets have changed, so that all data from before are discarded"
+        self._problem = calibration.with_tares(self._problem, tares)
+        return "the data so far agree"
 
     def set_memory(self, time_constant: float) -> None:
         """Change the time constant of forgetting, s; older data keep their present weight."""
@@ -444,9 +488,11 @@ class OnlineIdentification:
         """Discard queued blocks."""
         self._worker.close()
 
-    def _restart_clock(self, blocks: BlockAccumulator) -> None:
-        self._worker.restart(blocks)
-        self._accumulator.restart(blocks, self._accumulator.window)
+    def _restart_clock(self) -> None:
+        """Process the open block; later messages may have any stamps."""
+        self._submit(self._scheduler.restart())
+        self._worker.finish(longest=FEW)
+        self._accumulator.restart(self._worker.restart_clock(), self._accumulator.window)
         self._until = 0
 
     def _submit(self, span: TimeSpan | None) -> None:

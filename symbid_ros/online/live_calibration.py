@@ -7,11 +7,13 @@ All rows are equations for the unknowns themselves, not for their distances from
 of different points add up.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from symbid_ros.choices import SensorErrorKind
+from symbid_ros.estimation.change import SENSOR_CHANGE, SensorHypothesis
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.identification.accumulator import TimeSpan
@@ -28,13 +30,16 @@ from symbid_ros.signals.sensor_errors import CalibratingRows
 # Bytes of aligned sensor data that are kept to be linearized again: 100 s of the Symbitron.
 MOST_KEPT = 32 << 20
 # Distance of the estimate from the linearization point, in posterior deviations per unknown, above
-# which rows are linearized again. The error of linear rows is of second order: a hundredth of a
-# deviation at this distance.
-MOVED = 1.0
+# which rows are linearized again. An estimate from nine times as much data is about as far. The
+# error of linear rows is of second order: a hundredth of a deviation at this distance.
+MOVED = 3.0
 # Factor by which the number of blocks grows between two linearizations. Those of this many blocks
 # are allowed at any time.
 AGAIN = 2
 FEW = 4
+# Distance of a tare from the estimated offset, in deviations, from which the offset has changed.
+CONTRADICTS = 5.0
+OFFSET = "plate_offset"
 
 
 class LiveCalibration:
@@ -75,6 +80,44 @@ class LiveCalibration:
         )
         self.windows = calibration_windows(segment.rate)
         self._linearized_at = 0
+
+    @property
+    def hypotheses(self) -> tuple[SensorHypothesis, ...]:
+        """The sensor errors that may change."""
+        errors = self.extended.errors
+        return tuple(
+            SensorHypothesis(
+                f"{sensor}/{kind}",
+                errors.names[place],
+                errors.units[place],
+                SENSOR_CHANGE * errors.std[place],
+            )
+            for sensor, kind, place in errors.groups
+        )
+
+    def with_tares(self, problem: Problem, tares: Mapping[str, Tare]) -> Problem:
+        """Return a problem of these unknowns with the tares' priors of the sensors' offsets."""
+        prior, names = problem.prior, problem.prior.names
+        mean, scale = prior.mean.copy(), np.ones(len(names))
+        for frame, tare in tares.items():
+            places = self._offsets(names, frame)
+            mean[places] = tare.mean[: len(places)]
+            scale[places] = tare.std[: len(places)] / prior.std[places]
+        return replace(problem, prior=replace(prior.widened(scale), mean=mean))
+
+    def contradicts(self, found: Posterior, tares: Mapping[str, Tare]) -> bool:
+        """Return whether tares read other offsets than an estimate says."""
+        for frame, tare in tares.items():
+            places = self._offsets(found.prior.names, frame)
+            std = np.hypot(found.std[places], tare.std[: len(places)])
+            if np.any(np.abs(found.mean[places] - tare.mean[: len(places)]) > CONTRADICTS * std):
+                return True
+        return False
+
+    def _offsets(self, names: Sequence[str], frame: str) -> list[int]:
+        """Return the places of a wrench sensor's offset among unknowns; none if it is known."""
+        start = f"{frame}/{OFFSET}_"
+        return [index for index, name in enumerate(names) if name.startswith(start)]
 
     @property
     def first_rows(self) -> CalibratingRows:

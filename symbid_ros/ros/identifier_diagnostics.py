@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from symbid_ros.estimation.change import LinkChange
 from symbid_ros.learning.candidate import RobotUncertainty, robot_uncertainty
 from symbid_ros.messages.topics import Topic
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification
@@ -150,13 +151,20 @@ class IdentifierDiagnostics:
             self._change = NodeStatus("change", OK, message, values)
         else:
             suspect, *others = outcome.change.suspects
-            values |= {
-                "link": suspect.link,
-                "link/alternatives": ", ".join(other.link for other in others),
-                "since": f"{outcome.change.since * 1e-9:.3f}",
-                "mass": f"{suspect.phi[0]:.4f}",
-                "mass/std": f"{suspect.std[0]:.4f}",
-            }
+            alternatives = ", ".join(other.subject for other in others)
+            values["since"] = f"{outcome.change.since * 1e-9:.3f}"
+            if isinstance(suspect, LinkChange):
+                values |= {
+                    "link": suspect.link,
+                    "link/alternatives": alternatives,
+                    "mass": f"{suspect.phi[0]:.4f}",
+                    "mass/std": f"{suspect.std[0]:.4f}",
+                }
+            else:
+                values |= {"sensor": suspect.subject, "sensor/alternatives": alternatives}
+                numbers = zip(suspect.sensor.names, suspect.error, suspect.std, strict=True)
+                for name, error, std in numbers:
+                    values |= {name: f"{error:.6g}", f"{name}/std": f"{std:.2g}"}
             self._change = NodeStatus("change", WARN, str(outcome.change), values)
 
     def _estimate_status(

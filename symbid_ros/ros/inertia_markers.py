@@ -143,7 +143,7 @@ def robot_markers(
     size : float
         Diameter of the balls, m.
     """
-    suspects = {} if change is None else {one.link: str(change) for one in change.suspects}
+    suspects = {} if change is None else {one.link: str(change) for one in change.links}
     markers = []
     for index, link in enumerate(parameters.link_names):
         for marker in _link_markers(estimate, index, suspects.get(link, ""), size):

@@ -25,6 +25,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
+from symbid_ros.online.tare import TareRecording
 from symbid_ros.ros.estimate_topics import EstimateTopics
 from symbid_ros.ros.identifier_diagnostics import IdentifierDiagnostics
 from symbid_ros.ros.identifier_parameters import (
@@ -48,6 +49,7 @@ EXACT_COST = 4.0
 # Longest time for an estimate at shutdown, s; launch kills nodes that take a few seconds.
 SHUTDOWN_SOLVE_TIME = 1.5
 ANSWER_POLL = 0.1  # s
+TARE_TIME = 2.0  # s over which the readings of unloaded sensors are averaged
 DISCOVERY_PERIOD = 0.1  # s between two looks at the graph before identification starts
 LATER_DISCOVERY_PERIOD = 1.0  # s afterwards
 MISSING_PERIOD = 2.0  # s until missing topics are reported
@@ -119,6 +121,7 @@ class OnlineIdentifier:
             ("reset", self._reset),
             ("solve", self._solve_on_request),
             ("save", self._save),
+            ("tare", self._tare),
         ):
             node.create_service(Trigger, f"~/{service}", self._trigger_handler(work))
         node.create_service(SetBool, "~/enable", self._enable)
@@ -294,11 +297,38 @@ class OnlineIdentifier:
         write_identification(found, estimate.parameters, out)
         return f"{_summarize(estimate)}, written to {out}"
 
+    def _tare(self) -> str:
+        """Record what the unloaded wrench sensors read; an estimate does not use these messages."""
+        if not self._initial_state.options.sensor_error_kinds:
+            raise ParameterError(
+                "parameter sensor_errors: none, which a tare needs; restart the identifier with "
+                "-p sensor_errors:=[typical]",
+                "E801",
+            )
+        live, selected = self._live, self._selected
+        assert selected is not None  # it is found together with the identification
+        self._receive_until(time.time_ns())
+        recording, deadline = TareRecording(selected, live.checks), time.monotonic() + TARE_TIME
+        while time.monotonic() < deadline and not self._ended.is_set():
+            count = 0
+            for topic, subscription in self._subscriptions:
+                for message in subscription.take():
+                    recording.add(topic, message.payload)
+                    count += 1
+            if not count:
+                time.sleep(POLL)
+        tares = recording.tares()
+        known = self._initial_state.tares
+        self._initial_state = replace(self._initial_state, tares={**known, **tares})
+        text = f"{', '.join(sorted(tares))} tared; {live.set_tares(tares)}"
+        self._node.get_logger().info(text)
+        return text
+
     def _reset(self) -> str:
         self._live.reset()
         self._newest = None
         self._markers.clear()
-        return "all data are discarded; the prior remains"
+        return "all data are discarded; prior and tares remain"
 
     def _finish(self) -> None:
         buffers = self._live.streams.buffers

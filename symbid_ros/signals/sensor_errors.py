@@ -7,12 +7,12 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray, concatenated
 from symbid_ros.choices import SENSOR_ERROR_KINDS
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.placements import displaced, displacement_columns
-from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion, equation_residual
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.realignment import advanced
@@ -180,6 +180,15 @@ class SensorErrors:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @property
+    def groups(self) -> Iterator[tuple[str, str, slice]]:
+        """Each sensor, kind of its error, and indices in θ of the error's components."""
+        for kind, place in self.places.items():
+            size = len(DEVIATIONS[kind])
+            for index, owner in enumerate(self._owners(kind)):
+                start = place.start + size * index
+                yield owner, kind, slice(start, start + size)
 
     @property
     def gained_joints(self) -> list[int]:
@@ -372,39 +381,41 @@ def error_columns(
     # Rows of joints whose effort was not measured are masked, but a NaN would not be.
     readings = replace(readings, effort=np.nan_to_num(readings.effort))
 
-    def residual(
-        at: FloatArray,
+    def residuals(
+        at: Sequence[FloatArray],
         parameters: ParameterSet = parameters,
         phi: FloatArray = linearization.phi,
         seen_by_imus: RobotModel = model,
     ) -> FloatArray:
-        samples = at_base(errors.corrected(readings, at), seen_by_imus)
-        rows = equation_of_motion(parameters, samples)
-        difference: FloatArray = rows.y - rows.K @ phi
-        return difference
+        """Return the residuals (S, N, n) at some θ, all in one evaluation, as blocks are short."""
+        corrected = concatenated([errors.corrected(readings, one) for one in at])
+        found = equation_residual(parameters, at_base(corrected, seen_by_imus), phi)
+        return found.reshape(len(at), len(readings), -1)
 
     C = np.zeros((len(readings), model.dof, len(errors)))
-    unshifted = residual(theta)
+    columns: list[int] = []
+    steps: list[float] = []
     for kind, place in errors.places.items():
         if kind in ("imu_mounting", "imu_bias", "encoder_offset", DELAY, FRAME):
-            step = TIME_STEP if kind == DELAY else STEP
             # The rotations of wrench sensors are linear in the wrenches.
             linear = 3 * len(errors.wrench_frames) if kind == FRAME else 0
-            for column in range(place.start + linear, place.stop):
-                shifted = theta.copy()
-                shifted[column] += step
-                C[:, :, column] = (residual(shifted) - unshifted) / step
-        elif kind == COMPLIANCE:
+            columns += range(place.start + linear, place.stop)
+            steps += [TIME_STEP if kind == DELAY else STEP] * (place.stop - place.start - linear)
+    unshifted, *shifted = residuals([theta, *_shifted(theta, columns, steps)])
+    for column, step, one in zip(columns, steps, shifted, strict=True):
+        C[:, :, column] = (one - unshifted) / step
+    for kind, place in errors.places.items():
+        if kind == COMPLIANCE:
             # Links move behind the gears. Friction and rotors move with the motors.
             bare = parameters.with_known_values({})
             phi = linearization.phi.copy()
             phi[parameters.inertial :] = 0.0
-            rigid = residual(theta, bare, phi)
             step = STEP / max(float(np.abs(readings.effort).max()), 1.0)
-            for column in range(place.start, place.stop):
-                shifted = theta.copy()
-                shifted[column] += step
-                C[:, :, column] = (residual(shifted, bare, phi) - rigid) / step
+            columns = list(range(place.start, place.stop))
+            moved = _shifted(theta, columns, [step] * len(columns))
+            rigid, *bent = residuals([theta, *moved], bare, phi)
+            for column, one in zip(columns, bent, strict=True):
+                C[:, :, column] = (one - rigid) / step
         elif kind == "torque_gain":
             rows = 6 * model.floating + np.flatnonzero(errors.driven)
             gain = errors.of_kind(kind, theta)[:, 0]
@@ -414,16 +425,23 @@ def error_columns(
     if LENGTH in errors.kinds or AXIS in errors.kinds:
         corrected = errors.corrected(readings, theta)
         phi = _carried_phi(parameters, linearization.phi, readings.stamp)
-        columns = displacement_columns(model, phi, at_base(corrected, model))
+        by_screws = displacement_columns(model, phi, at_base(corrected, model))
         # Displaced joints between the base and an IMU change the base's motion.
         for joint in np.flatnonzero(_carries_imu(errors, model)):
             for axis in range(6):
                 screws = np.zeros((len(model.joints), 6))
                 screws[joint, axis] = STEP
-                moved = residual(theta, seen_by_imus=displaced(model, screws))
-                columns[:, :, joint, axis] += (moved - unshifted) / STEP
-        errors.fill_placements(C, columns, nominal, theta)
+                (moved,) = residuals([theta], seen_by_imus=displaced(model, screws))
+                by_screws[:, :, joint, axis] += (moved - unshifted) / STEP
+        errors.fill_placements(C, by_screws, nominal, theta)
     return C
+
+
+def _shifted(theta: FloatArray, columns: Sequence[int], steps: Sequence[float]) -> list[FloatArray]:
+    """Return θ (r,) with one component moved by its step, for each of the columns."""
+    shifts = np.zeros((len(columns), len(theta)))
+    shifts[range(len(columns)), columns] = steps
+    return list(theta + shifts)
 
 
 def _carries_imu(errors: SensorErrors, model: RobotModel) -> BoolArray:

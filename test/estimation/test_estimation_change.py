@@ -55,7 +55,7 @@ def test_evidence_is_the_ratio_of_likelihoods(seed) -> None:
     mean = K @ known.mean
     without = multivariate_normal.logpdf(y, mean, unchanged)
     total = earlier.parameters.link_phi(prior.mean)[:, 0].sum()
-    for change in found.links:
+    for change in found.changes:
         index = earlier.parameters.link_names.index(change.link)
         extent = max(link_extent(earlier.parameters.link_phi(prior.mean)[index]), 0.05)
         scale = PAYLOAD * total * np.repeat([1, extent, extent**2], [1, 3, 6])
@@ -73,7 +73,7 @@ def test_no_change_is_found_without_a_change() -> None:
             posterior(earlier.observations(), prior), [later.rows()], earlier.parameters
         )
         misfits.append(found.misfit)
-        evidence.append(found.links[0].evidence)
+        evidence.append(found.changes[0].evidence)
     assert np.mean(misfits) == pytest.approx(1.0, abs=0.15)
     assert max(evidence) < 5.0
 
@@ -101,7 +101,7 @@ def test_the_changed_link_is_named_with_its_mass(seed, index) -> None:
     added = payload(plain, index, 0.05 * plain.parameters.link_phi(plain.truth)[:, 0].sum())
     earlier, later, prior = logs(seed, change=added)
     found = innovation(posterior(earlier.observations(), prior), [later.rows()], earlier.parameters)
-    suspect = found.links[0]
+    suspect = found.changes[0]
     assert suspect.link == earlier.parameters.link_names[index]
     assert suspect.evidence > 30.0
     error = (suspect.phi - added[10 * index : 10 * index + 10]) / suspect.std
@@ -204,5 +204,5 @@ def test_links_that_fit_within_ten_nats_are_suspects(usual) -> None:
     links = tuple(
         LinkChange(str(i), 50.0 - i, fit, np.zeros(10), np.ones(10)) for i, fit in enumerate(fits)
     )
-    found = Innovation(misfit=usual, links=links).suspects(usual)
+    found = Innovation(misfit=usual, changes=links).suspects(usual)
     assert [link.link for link in found] == ["0", "1", "3"]
