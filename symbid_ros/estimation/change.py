@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import block_diag, cholesky, solve_triangular
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.information import stacked_factor
@@ -32,6 +32,9 @@ DISTINGUISHABLE = 10.0
 
 # Lower bound on the prior's weight: its standard deviations at most double.
 LEAST_WEIGHT = 0.25
+# Weight of what data told before a change, from which estimates start anew. Deviations leave out
+# what is wrong with the model in all postures alike, and new postures show it.
+LEARNED_WEIGHT = 0.25
 
 
 # A sensor's error changes by this many typical errors: a plate that was hit or an amplifier that
@@ -172,7 +175,9 @@ def innovation(
     factor = _whitened_factor(recent, whitening, kept)
     A, b = factor[:count, :count], factor[:count, count]
     spread = A @ earlier.deviation_factor
-    root = cholesky(np.eye(count) + spread @ spread.T, lower=True)
+    # QR of both terms: their sum loses the 1 where a relaxed prior makes the other one huge.
+    both = np.concatenate([spread.T, np.eye(count)])
+    root = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64).T
     unexpected = solve_triangular(root, b - A @ earlier.mean, lower=True)
     response = solve_triangular(root, A, lower=True)
 
@@ -228,14 +233,16 @@ def discounted_prior(prior: Prior, kept: float) -> Prior:
     return prior.widened(np.full(len(prior.mean), scale))
 
 
-def relaxed_prior(prior: Prior, parameters: ParameterSet, link: str) -> Prior:
+def relaxed_prior(prior: Prior, parameters: ParameterSet, change: LinkChange) -> Prior:
     """Return the prior after a payload of unknown mass and place was added to a link.
 
-    The payload's parameters have zero mean and the deviations of :func:`payload_std`.
+    The payload's parameters have zero mean and the deviations of :func:`payload_std`, or what the
+    change is estimated to be where that is more, as of a payload far from the link's frame.
     """
-    index = parameters.link_names.index(link)
+    index = parameters.link_names.index(change.link)
     added = np.zeros(len(prior.mean))
-    added[10 * index : 10 * index + 10] = payload_std(parameters, prior.mean)[index]
+    usual = payload_std(parameters, prior.mean)[index]
+    added[10 * index : 10 * index + 10] = np.maximum(usual, np.abs(change.phi))
     return _with_variance(prior, added)
 
 
@@ -255,6 +262,43 @@ def _with_variance(prior: Prior, added: FloatArray) -> Prior:
     scaled = np.linalg.cholesky(covariance / np.outer(std, std))
     factor = std[:, None] * scaled
     return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor, alone=None)
+
+
+def prior_after_change(
+    before: Posterior, terms: Prior, parameters: ParameterSet, changes: Sequence[LinkChange]
+) -> Prior:
+    """Return the prior of a robot of which some links have changed.
+
+    The other links are as they were known before the change, but what the data told has less
+    weight. The changed ones are relaxed as in :func:`relaxed_prior`. Joint terms are as before all
+    rows.
+
+    Parameters
+    ----------
+    before : Posterior
+        From the rows before the change.
+    terms : Prior
+        Before all rows, of the same unknowns; that of the links is not used.
+    parameters : ParameterSet
+        Columns of both.
+    changes : sequence of LinkChange
+        Of the links that may have changed.
+    """
+    count = parameters.inertial
+    others = terms.marginal(terms.names[count:])
+    first = before.prior.marginal(before.prior.names[:count]).covariance_factor()
+    # Deviations along directions that are independent in the prior, of which each has 1.
+    U, std, _ = np.linalg.svd(
+        solve_triangular(first, before.deviation_factor[:count], lower=True), full_matrices=False
+    )
+    learned = np.maximum(1.0 / std**2 - 1.0, 0.0)
+    std = 1.0 / np.sqrt(1.0 + LEARNED_WEIGHT * learned)
+    root = block_diag(first @ (U * std), others.covariance_factor())
+    mean = np.concatenate([before.mean[:count], others.mean])
+    prior = replace(terms, mean=mean, alone=None).with_root(root)
+    for change in changes:
+        prior = relaxed_prior(prior, parameters, change)
+    return prior
 
 
 def discounted_pseudo_measurements(

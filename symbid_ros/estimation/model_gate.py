@@ -29,6 +29,8 @@ class CandidateModel:
         standard deviations.
     alarms : tuple of str
         What speaks against the estimate.
+    change : str
+        How the robot differs from what it was, if the estimate has not followed; empty otherwise.
     mass_std, com_std : float or None
         Standard deviations of the mass of all links, kg, and of the robot's centre of mass (root
         sum square of its coordinates), m, from the covariance of all parameters. None if only the
@@ -47,6 +49,7 @@ class CandidateModel:
     alarms: tuple[str, ...] = ()
     mass_std: float | None = None
     com_std: float | None = None
+    change: str = ""
 
     def __post_init__(self) -> None:
         expected = (len(self.links), 10)
@@ -94,15 +97,18 @@ class ModelGate:
         self._largest_change = largest_change
         self._known = np.full(2, np.inf)
 
+    def forget(self) -> None:
+        """Forget the last accepted model: the next candidate need not be more certain."""
+        self._known = np.full(2, np.inf)
+
     def is_news(self, candidate: CandidateModel) -> bool:
         """Return whether a candidate is clearly more certain than the last accepted model.
 
-        An alarm makes the gate forget that model, because the robot may have changed: the next
-        candidate need not be more certain. A candidate without deviations counts as news, so that
-        :meth:`refusal` says what is missing.
+        A change of the robot makes the gate forget that model. A candidate without deviations
+        counts as news, so that :meth:`refusal` says what is missing.
         """
-        if candidate.alarms:
-            self._known = np.full(2, np.inf)
+        if candidate.change:
+            self.forget()
         now = candidate.uncertainty
         if not np.isfinite(now).all():
             return True
@@ -130,8 +136,9 @@ class ModelGate:
     @staticmethod
     def fault(candidate: CandidateModel) -> str:
         """Return why no controller should use a model, or an empty string."""
-        if candidate.alarms:
-            return f"alarm: {candidate.alarms[0]}"
+        against = (candidate.change, *candidate.alarms)
+        if any(against):
+            return f"alarm: {next(filter(None, against))}"
         if not (np.isfinite(candidate.phi).all() and np.isfinite(candidate.std).all()):
             return "parameters or deviations are missing"
         impossible = [

@@ -29,6 +29,8 @@ RECENT = 2
 LONGEST_AFTER = 30
 # Updates below the threshold after which a change is over: the estimate has followed it.
 QUIET = 10
+# Updates after which a change is attributed surely enough for an estimate to start anew from it.
+SETTLED = 2
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,8 @@ class ChangeMonitor:
     ----------
     change : Change or None
         The change that has been detected and is not over.
+    followed : Change or None
+        The last change from which the estimate started anew, for :data:`QUIET` updates.
     evidence : float
         Of the last update, relative to the usual misfit; NaN before the first test.
     """
@@ -121,7 +125,20 @@ class ChangeMonitor:
         self._usual: deque[float] = deque(maxlen=USUAL)
         self.evidence = float("nan")
         self.change: Change | None = None
+        self.followed: Change | None = None
         self.restart()
+
+    @property
+    def settled(self) -> tuple[Change, Posterior] | None:
+        """A change that is attributed surely, and the posterior before it; None otherwise."""
+        if self.change is None or self._before is None or self._updates < SETTLED:
+            return None
+        return self.change, self._before
+
+    def follow(self) -> None:
+        """Regard the change as over, because later posteriors start anew from it."""
+        self.restart()
+        self.followed, self.change = self.change, None
 
     @property
     def is_ready(self) -> bool:
@@ -136,7 +153,7 @@ class ChangeMonitor:
         self._past: deque[Posterior] = deque(maxlen=RECENT)
         self._rows: deque[tuple[BlockRows, ...]] = deque(maxlen=RECENT)
         self._before: Posterior | None = None
-        self._since = self._quiet = 0
+        self._since = self._quiet = self._updates = 0
         self._after: list[BlockRows] = []
 
     def update(self, rows: Sequence[BlockRows], posterior: Posterior) -> None:
@@ -166,9 +183,11 @@ class ChangeMonitor:
         if self._before is None and self.change is None:
             if is_loud:
                 self._before, self._since = self._past[0], recent[0].start
-                self._after, self._quiet = [], 0
+                self._after, self._quiet, self._updates = [], 0, 0
+                self.followed = None
             else:
                 self._usual.append(found.misfit)
+                self._forget_followed()
             return
         self._quiet = 0 if is_loud else self._quiet + 1
         if self._quiet >= QUIET:
@@ -176,11 +195,17 @@ class ChangeMonitor:
             return
         if self._before is None:
             return  # detected with another window length, and its earlier posterior is discarded
+        self._updates += 1
         if len(self._after) < LONGEST_AFTER:
             self._after += rows
         after = self._innovation(self._before, self._after)
         if after is not None:
             self.change = Change(self._since, after.suspects(usual))
+
+    def _forget_followed(self) -> None:
+        self._quiet = 0 if self.followed is None else self._quiet + 1
+        if self._quiet >= QUIET:
+            self.followed = None
 
     def _innovation(self, before: Posterior, blocks: Sequence[BlockRows]) -> Innovation | None:
         rows = [part for block in blocks for part in block.parts if len(part.valid)]

@@ -63,7 +63,8 @@ def candidate_model(estimate: OnlineEstimate, known: RobotUncertainty) -> Candid
         parameters.link_names,
         found.value[:count].reshape(-1, 10),
         found.std[:count].reshape(-1, 10),
-        estimate.alarms if change is None else (*estimate.alarms, str(change)),
+        estimate.alarms,
         mass_std=known.mass_std,
         com_std=known.com_std,
+        change="" if change is None else str(change),
     )

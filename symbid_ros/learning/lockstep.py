@@ -114,6 +114,10 @@ class LearningRecord:
         """When and how the robot failed; None if it stands."""
         return next((event for event in self.events if event.kind == FELL), None)
 
+    def between(self, start: float, stop: float) -> tuple[Event, ...]:
+        """Return what happened from ``start`` until before ``stop``, s."""
+        return tuple(event for event in self.events if start <= event.time < stop)
+
     def com_error(self, start: float, stop: float) -> float:
         """Return the root mean square distance from the reference, m; NaN without samples."""
         inside = (self.time >= start) & (self.time < stop)
@@ -198,6 +202,7 @@ class LearningRun:
         self._samples: list[tuple[FloatArray, ...]] = []
         self._estimates: list[RobotUncertainty] = []
         self._events: list[Event] = []
+        self._is_changed = False
         self._channels: list[int] = []
         self._collapsed: list[FloatArray] = []
         self._torques = np.zeros(len(self._robot.drive_names))
@@ -337,6 +342,9 @@ class LearningRun:
             return
         candidate, uncertainty = found
         self._estimates.append(uncertainty)
+        if candidate.change and not self._is_changed:
+            self._events.append(Event(uncertainty.time, CHANGED, candidate.change))
+        self._is_changed = bool(candidate.change)
         decision = self._update.judge(candidate, f"{uncertainty.time:.1f} s")
         if decision is not None:
             self._events.append(Event(uncertainty.time, decision.kind, decision.reason))

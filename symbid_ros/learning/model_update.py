@@ -31,8 +31,9 @@ class Decision:
 class ModelUpdate:
     """Judges each identified model, and hands it to the controller if it can be trusted.
 
-    The size of the moves follows from the deviations of the model in use. Without one, and while an
-    alarm stands, moves are smallest.
+    The size of the moves follows from the deviations of the model in use. Without one, and while
+    the robot differs from what it was, moves are smallest. Other alarms concern the newest estimate
+    and not the model in use.
 
     Parameters
     ----------
@@ -67,11 +68,12 @@ class ModelUpdate:
             Name of the model in decisions, such as the time of its newest data.
         """
         controller = self._controller
-        if candidate.alarms:
+        if candidate.change:
             controller.move_within(LEAST_REACH)
         is_news = self._gate.is_news(candidate)
         if controller.is_changing:
-            return self._withdraw(candidate.alarms[0]) if candidate.alarms else None
+            fault = candidate.change or next(iter(candidate.alarms), "")
+            return self._withdraw(fault) if fault else None
         if not is_news:
             self.refusal = ""
             return None
@@ -86,6 +88,7 @@ class ModelUpdate:
         if self.used == self._before:
             return None
         self._controller.fall_back()
+        self._gate.forget()
         self.used = self._before
         return self._decide(WITHDRAWN, reason)
 

@@ -68,14 +68,23 @@ def event_text(record: LearningRecord, time: float, kind: str, text: str) -> str
 
 
 def robot_animation(model: RobotModel, runs: Mapping[str, LearningRecord]) -> str:
-    """Return the animation of the robot with the file alone beside the one that learns, as SVG."""
-    alone, learning = runs[ALONE], runs[LEARNING]
-    stop = float(alone.time[-1] if alone.fall is None else alone.fall.time) + AFTER
-    actors = {
-        "with the wrong model alone": Actor(alone, COLOURS[ALONE], outcome(alone)),
-        "learning its own model": Actor(learning, COLOURS[LEARNING], outcome(learning)),
-    }
-    return animation(model, SOLES, actors, max(0.0, stop - AFTER - SHOWN), stop)
+    """Return the animation of the robot with the file alone beside the one that learns, as SVG.
+
+    It shows the seconds before the first one falls, or the last seconds.
+    """
+    alone = runs[ALONE]
+    decided = float(alone.time[-1] if alone.fall is None else alone.fall.time)
+    actors = {}
+    for title, label in (
+        ("with the wrong model alone", ALONE),
+        ("learning its own model", LEARNING),
+    ):
+        record = runs[label]
+        since = decided if record.fall is None else record.fall.time
+        text = f"stands until the end, {record.time[-1]:.0f} s"
+        caption = text if record.fall is None else outcome(record)
+        actors[title] = Actor(record, COLOURS[label], caption, since)
+    return animation(model, SOLES, actors, max(0.0, decided - SHOWN), decided + AFTER)
 
 
 def write_learning_report(

@@ -29,11 +29,15 @@ STYLE = (
 
 @dataclass(frozen=True)
 class Actor:
-    """One robot of the animation: its motion, colour and captions."""
+    """One robot of the animation: its motion, colour, and the caption of its outcome.
+
+    The caption appears at the time ``since``, s.
+    """
 
     record: LearningRecord
     colour: str
     caption: str
+    since: float
 
 
 def animation(
@@ -69,10 +73,16 @@ def animation(
         parts.append(f'<text x="130" y="24" text-anchor="middle">{escape(title)}</text>')
         parts += _robot(model, soles, actor, times, seconds)
         parts.append(
-            f'<text x="130" y="{height - 18:g}" class="quiet" text-anchor="middle" '
-            f"{_hidden_until(actor, start, seconds)}</text>"
+            f'<text x="130" y="{height - 18:g}" fill="{actor.colour}" text-anchor="middle">'
+            f"{escape(actor.caption)}{_shown(actor.since - start, seconds, seconds)}</text>"
         )
         parts.append("</g>")
+    for second in range(int(np.ceil(start)), int(np.ceil(stop))):
+        begin, end = max(second - 1 - start, 0.0), second - start
+        parts.append(
+            f'<text x="{width / 2:g}" y="{height - 18:g}" class="quiet" text-anchor="middle">'
+            f"{second} s{_shown(begin, end, seconds)}</text>"
+        )
     # A bar that fills as time passes.
     parts.append(
         f'<rect x="20" y="{height - 6:g}" height="3" width="0" fill="#8a8a8a">'
@@ -83,15 +93,17 @@ def animation(
     return "".join(parts) + "\n"
 
 
-def _hidden_until(actor: Actor, start: float, seconds: float) -> str:
-    """Return the end of a text element that appears when its robot falls, or is always there."""
-    text = f">{escape(actor.caption)}"
-    if actor.record.fall is None:
-        return text
-    when = (actor.record.fall.time - start) / seconds
+def _shown(begin: float, end: float, seconds: float) -> str:
+    """Return the animation of an element that is shown from ``begin`` to ``end`` of ``seconds``."""
+    values, times = ["1"], ["0"]
+    if begin > 0:
+        values, times = ["0", "1"], ["0", f"{begin / seconds:.4f}"]
+    if end < seconds:
+        values.append("0")
+        times.append(f"{end / seconds:.4f}")
     return (
-        f'{text}<animate attributeName="opacity" calcMode="discrete" values="0;1" '
-        f'keyTimes="0;{when:.3f}" dur="{seconds:g}s" repeatCount="indefinite"/>'
+        f'<animate attributeName="opacity" calcMode="discrete" values="{";".join(values)}" '
+        f'keyTimes="{";".join(times)}" dur="{seconds:g}s" repeatCount="indefinite"/>'
     )
 
 

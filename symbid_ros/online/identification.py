@@ -16,11 +16,17 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.wrist_evidence import check_signs
 from symbid_ros.errors import DataError, SymbidError
-from symbid_ros.estimation.change import LinkChange, relaxed_prior, relaxed_sensor_prior
+from symbid_ros.estimation.change import (
+    LinkChange,
+    prior_after_change,
+    relaxed_prior,
+    relaxed_sensor_prior,
+)
 from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior import Prior
+from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.accumulator import (
     Accumulator,
     BlockAccumulator,
@@ -98,7 +104,9 @@ class OnlineEstimate:
     alarms : tuple of str
         Problems of the estimate, one line each.
     change : Change or None
-        Detected change of the robot.
+        Detected change of the robot, which contradicts the estimate.
+    followed : Change or None
+        The last change, if the estimate is from data since then.
     """
 
     found: Identification
@@ -107,6 +115,7 @@ class OnlineEstimate:
     window: float
     alarms: tuple[str, ...]
     change: Change | None
+    followed: Change | None
 
 
 class OnlineIdentification:
@@ -141,6 +150,8 @@ class OnlineIdentification:
         self._inputs = (*initial_state.problem.inputs, *topics)
         self._problem = replace(initial_state.problem, inputs=self._inputs)
         self._calibration: LiveCalibration | None = None
+        # Mean and deviation by name, of an estimate that starts anew after a change.
+        self._reference: dict[str, tuple[float, float]] = {}
         self._scheduler = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
         self.lost_blocks = self.clock_jumps = 0
@@ -322,11 +333,13 @@ class OnlineIdentification:
         self._is_coupled = count, solver.chosen.is_coupled
         self._posterior = solver.posterior
         self._relinearize(solver.posterior)
-        if new:
+        # What is known of the noise comes with the first block. Until then deviations are too small
+        # for a comparison, except with the wide prior of the start.
+        if new and (not self._reference or self._accumulator.blocks.count):
             slips = self._choice is not None and self._choice.slips
             rows = [block.slipping() for block in new] if slips else new
             self._monitor.update(rows, solver.posterior)
-            self._relax_priors()
+            self._follow_change()
         return self._estimate(solver, with_verdict=False)
 
     def _start(self, prior: Prior) -> FloatArray | None:
@@ -368,18 +381,57 @@ class OnlineIdentification:
             return observations
         return next(iter(self._choice.rows((observations,))), observations)
 
-    def _relax_priors(self) -> None:
-        """Relax the prior of links and errors that may have changed, if old data are forgotten."""
-        change = self._monitor.change
-        if change is None or np.isinf(self._pace.memory):
+    def _follow_change(self) -> None:
+        """Start anew from what was known before a change, if old data are forgotten.
+
+        Rows from before and after it would contradict each other until the former are forgotten.
+        """
+        if np.isinf(self._pace.memory):
             return
-        for suspect in change.suspects:
+        if self._calibration is not None:
+            self._relax_priors()
+            return
+        if (settled := self._monitor.settled) is None:
+            return
+        change, before = settled
+        problem = self._problem_with(self._accumulator.blocks)
+        if self._parameters.candidates and problem.observations:
+            # What follows is too short to tell of what size joint terms may be.
+            problem = self._with_candidate_prior(problem)
+        terms = replace(problem.prior, assumed=())
+        links = [one for one in change.suspects if isinstance(one, LinkChange)]
+        named = " or ".join(one.link for one in links)
+        self._problem = replace(
+            self._problem,
+            prior=prior_after_change(before, terms, self._parameters, links),
+            # The posterior before the change contains them, and the sizes of its deviations.
+            pseudo_measurements=None,
+            is_empirical=False,
+            remarks=(
+                *self._initial_state.problem.remarks,
+                f"{named} changed at {change.since * 1e-9:.1f} s; what was known before is the "
+                "prior of later data",
+            ),
+        )
+        if not self._reference:
+            for prior in (terms, before.prior):
+                numbers = zip(prior.names, prior.mean.tolist(), prior.std.tolist(), strict=True)
+                self._reference |= {name: (mean, std) for name, mean, std in numbers}
+        until = self._until
+        self._discard_data(self._accumulator.window)
+        self._until = until  # the clock goes on
+        self._monitor.follow()
+
+    def _relax_priors(self) -> None:
+        """Relax the prior of links and sensor errors that may have changed."""
+        change = self._monitor.change
+        for suspect in () if change is None else change.suspects:
             if suspect.subject in self._relaxed:
                 continue
             self._relaxed.add(suspect.subject)
             prior = self._problem.prior
             if isinstance(suspect, LinkChange):
-                prior = relaxed_prior(prior, self._parameters, suspect.link)
+                prior = relaxed_prior(prior, self._parameters, suspect)
             else:
                 prior = relaxed_sensor_prior(prior, suspect.sensor)
             self._problem = replace(self._problem, prior=prior)
@@ -439,22 +491,44 @@ class OnlineIdentification:
             # The verdict would state it; such an estimate is saved if there is no time for another.
             rows = RowSettings("weak", window=window)
             found = replace(found, estimate=replace(found.estimate, rows=rows))
-        parameters, change = solver.problem.parameters, self._monitor.change
-        return OnlineEstimate(found, parameters, self._until, window, solver.alarms, change)
+        return OnlineEstimate(
+            self._compared_with_the_start(found),
+            solver.problem.parameters,
+            self._until,
+            window,
+            solver.alarms,
+            self._monitor.change,
+            self._monitor.followed,
+        )
+
+    def _compared_with_the_start(self, found: Identification) -> Identification:
+        """Return an estimate that states its first prior, if a change has given it a later one."""
+        estimate = found.estimate
+        if not self._reference or estimate.std is None:
+            return found
+        first = np.array([self._reference[name] for name in estimate.names])
+        determined = np.asarray(estimate.std < DETERMINED * first[:, 1])
+        return replace(found, estimate=replace(estimate, prior=first[:, 0], determined=determined))
 
     def reset(self) -> None:
         """Discard everything except the prior and the tares."""
-        self._worker.finish()
-        self._scheduler.restart()
         initial = self._initial_state
         self._posterior = self._choice = self._calibration = None
         self._relaxed.clear()
+        self._reference.clear()
         self._problem = replace(initial.problem, inputs=self._inputs)
         self._windows = tuple(one.window for one in initial.observations)
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
-        nothing = BlockAccumulator(initial.no_observations, self._pace.memory)
+        self._discard_data(len(self._windows) // 2)
+
+    def _discard_data(self, window: int) -> None:
+        """Discard all rows; later ones are of the window length of this index."""
+        self._worker.finish()
+        self._scheduler.restart()
+        self._is_coupled = None
+        nothing = BlockAccumulator(self._initial_state.no_observations, self._pace.memory)
         self._worker.restart(nothing, equation_rows(self._parameters), self._windows)
-        self._accumulator.restart(nothing, len(self._windows) // 2)
+        self._accumulator.restart(nothing, window)
         self._until = 0
 
     def set_tares(self, tares: Mapping[str, Tare]) -> str:

@@ -146,13 +146,14 @@ class IdentifierDiagnostics:
         known = robot_uncertainty(outcome, live.posture())
         self._estimate = self._estimate_status(outcome, known, age, solve_time)
         values = {"evidence": f"{live.evidence:.1f}"}
-        if outcome.change is None:
+        change = outcome.change or outcome.followed
+        if change is None:
             message = "no change" if live.can_tell_change else TOO_EARLY
             self._change = NodeStatus("change", OK, message, values)
         else:
-            suspect, *others = outcome.change.suspects
+            suspect, *others = change.suspects
             alternatives = ", ".join(other.subject for other in others)
-            values["since"] = f"{outcome.change.since * 1e-9:.3f}"
+            values["since"] = f"{change.since * 1e-9:.3f}"
             if isinstance(suspect, LinkChange):
                 values |= {
                     "link": suspect.link,
@@ -165,7 +166,9 @@ class IdentifierDiagnostics:
                 numbers = zip(suspect.sensor.names, suspect.error, suspect.std, strict=True)
                 for name, error, std in numbers:
                     values |= {name: f"{error:.6g}", f"{name}/std": f"{std:.2g}"}
-            self._change = NodeStatus("change", WARN, str(outcome.change), values)
+            is_followed = outcome.change is None
+            message = f"{change}; the estimate is of later data" if is_followed else str(change)
+            self._change = NodeStatus("change", OK if is_followed else WARN, message, values)
 
     def _estimate_status(
         self,

@@ -19,17 +19,19 @@ from symbid_ros.ros.reporting import OK, WARN, NodeStatus
 from symbid_ros.simulation.standing_controller import StandingController
 
 QUEUE = 10  # messages of /diagnostics
-# Parts of the identifier's status that tell whether its estimate can be trusted.
-TRUSTED_PARTS = "estimate", "change"
+# Parts of the identifier's status that tell whether its estimate can be trusted, and whether the
+# robot is still the same.
+ESTIMATE, CHANGE = "estimate", "change"
 
 
 @dataclass(frozen=True)
 class _News:
-    """An estimate, and the status and alarms that were published after it."""
+    """An estimate, and the status, alarms and change that were published after it."""
 
     estimate: RobotEstimate
     known: IdentifierStatus
     alarms: tuple[str, ...]
+    change: str
 
 
 class ModelSource:
@@ -74,6 +76,7 @@ class ModelSource:
             news.alarms,
             mass_std=_finite(known.number("mass/std")),
             com_std=_finite(known.number("com/std")),
+            change=news.change,
         )
         label = f"identified until {news.estimate.stamp * 1e-9:.3f} s"
         decision = self._models.judge(candidate, label)
@@ -103,19 +106,23 @@ class ModelSource:
         self._estimate = read_estimate(message)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        names = {f"{self._identifier}: {part}" for part in TRUSTED_PARTS}
-        found = {status.name: status for status in message.status if status.name in names}
+        names = {f"{self._identifier}: {part}": part for part in (ESTIMATE, CHANGE)}
+        found = {names[one.name]: one for one in message.status if one.name in names}
         self._statuses.update(found)
         estimate, self._estimate = self._estimate, None if found else self._estimate
         if not found or estimate is None:
             return
-        alarms = tuple(
-            status.message
-            for status in self._statuses.values()
+        warnings = {
+            part: status.message
+            for part, status in self._statuses.items()
             if status.level != DiagnosticStatus.OK
+        }
+        self._news = _News(
+            estimate,
+            read_status(self._statuses),
+            tuple(message for part, message in warnings.items() if part == ESTIMATE),
+            warnings.get(CHANGE, ""),
         )
-        parts = {name.rpartition(": ")[2]: status for name, status in self._statuses.items()}
-        self._news = _News(estimate, read_status(parts), alarms)
 
 
 def _finite(number: float) -> float | None:

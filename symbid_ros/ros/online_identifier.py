@@ -273,7 +273,7 @@ class OnlineIdentifier:
     def _publish(self, newest: OnlineEstimate, *, describe: bool) -> None:
         estimate = newest.found.estimate
         self._topics.publish(estimate, Time(nanoseconds=newest.until).to_msg())
-        self._markers.publish(estimate, newest.change, self._live.posture())
+        self._markers.publish(estimate, newest.change or newest.followed, self._live.posture())
         now = time.monotonic()
         if describe or now - self._described >= DESCRIPTION_PERIOD:
             self._topics.describe(export_urdf(estimate, newest.parameters))

@@ -175,7 +175,7 @@ class WebMonitor:
         """Return the links that the identifier says have changed."""
         with self._lock:
             status = self._statuses.get("change")
-        if status is None or status.level == DiagnosticStatus.OK:
+        if status is None:
             return set()
         values = {entry.key: entry.value for entry in status.values}
         names = [values.get("link", ""), *values.get("link/alternatives", "").split(", ")]

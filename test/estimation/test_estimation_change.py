@@ -9,12 +9,14 @@ from random_robots import random_robot
 from scipy.stats import multivariate_normal
 
 from symbid_ros.estimation.change import (
+    LEARNED_WEIGHT,
     LEAST_WEIGHT,
     Innovation,
     LinkChange,
     discounted_prior,
     discounted_pseudo_measurements,
     innovation,
+    prior_after_change,
     relaxed_prior,
 )
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
@@ -155,10 +157,15 @@ def test_a_mass_off_every_axis_is_attributed_to_its_link(seed, index) -> None:
 def test_a_relaxed_prior_adds_the_payloads_variance(related) -> None:
     log = gaussian_log(3)
     prior = prior_of(log, 3, related=related)
-    found = relaxed_prior(prior, log.parameters, log.parameters.link_names[1])
+    usual = payload_std(log.parameters, prior.mean)[1]
+    phi = 0.1 * usual
+    phi[2] = -3.0 * usual[2]  # a payload farther away than usual
+    change = LinkChange(log.parameters.link_names[1], 99.0, 99.0, phi, 0.1 * usual)
+    found = relaxed_prior(prior, log.parameters, change)
     before, after = (p.covariance_factor() @ p.covariance_factor().T for p in (prior, found))
     added = np.zeros(len(prior.mean))
-    added[10:20] = payload_std(log.parameters, prior.mean)[1] ** 2
+    added[10:20] = usual**2
+    added[12] *= 9.0
     scale = np.outer(found.std, found.std)
     np.testing.assert_allclose((after - before) / scale, np.diag(added) / scale, atol=1e-12)
     np.testing.assert_array_equal(found.mean, prior.mean)
@@ -206,3 +213,28 @@ def test_links_that_fit_within_ten_nats_are_suspects(usual) -> None:
     )
     found = Innovation(misfit=usual, changes=links).suspects(usual)
     assert [link.link for link in found] == ["0", "1", "3"]
+
+
+def test_after_a_change_the_data_before_it_have_a_quarter_of_their_weight() -> None:
+    """The other links would have this posterior if the data were given that weight."""
+    earlier, _, prior = logs(1)
+    parameters = earlier.parameters
+    known = posterior(earlier.observations(), prior)
+    usual = payload_std(parameters, known.mean)[1]
+    change = LinkChange(parameters.link_names[1], 99.0, 99.0, 0.1 * usual, 0.1 * usual)
+    found = prior_after_change(known, prior, parameters, [change])
+    np.testing.assert_allclose(found.mean, known.mean)
+    count = parameters.inertial
+    stated, after = (
+        one.covariance_factor()[:count] @ one.covariance_factor()[:count].T
+        for one in (known.prior, found)
+    )
+    before = known.deviation_factor[:count] @ known.deviation_factor[:count].T
+    told = np.linalg.inv(before) - np.linalg.inv(stated)
+    expected = np.linalg.inv(np.linalg.inv(stated) + LEARNED_WEIGHT * told)
+    expected[range(10, 20), range(10, 20)] += usual**2
+    scale = np.sqrt(np.outer(expected.diagonal(), expected.diagonal()))
+    np.testing.assert_allclose(after / scale, expected / scale, atol=1e-6)
+    # Nothing is known worse than before all data.
+    others = np.delete(np.arange(count), range(10, 20))
+    assert np.all(found.std[others] <= known.prior.std[others] * (1 + 1e-9))

@@ -1,11 +1,13 @@
 """A payload added to a running robot is detected, attributed to its link, and tracked."""
 
+import itertools
+
 import numpy as np
 import pytest
 from live_feed import feed_of
 
 from symbid_ros.estimation.change import LinkChange
-from symbid_ros.identification.change_monitor import Change
+from symbid_ros.identification.change_monitor import QUIET, Change
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -47,13 +49,19 @@ def test_there_is_no_alarm_before_the_change_and_one_soon_after(estimates) -> No
     assert str(change).startswith("L_thigh has changed since 1")
 
 
-def test_an_alarm_remains_until_the_estimate_has_converged(estimates) -> None:
-    """The window length changes in the meantime."""
+def test_an_alarm_remains_until_the_estimate_starts_anew(estimates) -> None:
     standing = [result.change is not None for _, result in estimates]
     first = standing.index(True)
     last = len(standing) - standing[::-1].index(True)
     assert all(standing[first:last])
-    assert len({result.change.since for _, result in estimates[first:last]}) == 1
+    assert last - first < 5
+    alarmed = [result.change for _, result in estimates[first:last]]
+    assert len({change.since for change in alarmed}) == 1
+    assert all(result.followed is None for _, result in estimates[:last])
+    followed = [result.followed for _, result in estimates if result.followed is not None]
+    assert len(followed) >= QUIET
+    assert {(one.since, one.suspect.link) for one in followed} == {(alarmed[0].since, "L_thigh")}
+    assert np.all(np.diff([time for time, _ in estimates]) > 0)
 
 
 def test_an_alarm_names_one_link_if_the_motion_identifies_it(estimates) -> None:
@@ -74,11 +82,31 @@ def test_an_alarm_names_both_links_if_they_move_alike() -> None:
 
 
 def test_an_alarm_states_mass_and_position_of_the_payload(estimates) -> None:
-    within = [result.change for time, result in estimates if BEGUN + 3.0 < time < BEGUN + 6.0]
-    suspect = within[-1].suspect
+    suspect = [result.change for _, result in estimates if result.change is not None][-1].suspect
     assert suspect.phi[0] == pytest.approx(MASS, abs=max(3 * suspect.std[0], 0.1))
     for moment, deviation, place in zip(suspect.phi[1:3], suspect.std[1:3], PLACE, strict=False):
         assert moment == pytest.approx(MASS * place, abs=max(4 * deviation, 0.03))
+
+
+def test_the_estimate_after_a_change_is_from_later_data_and_what_was_known(estimates) -> None:
+    """The first prior stays the reference for what the data have determined."""
+    parameters = ParameterSet(load_model(MODEL))
+    thigh = parameters.names.index("L_thigh/m")
+    time = next(
+        time
+        for (_, before), (time, result) in itertools.pairwise(estimates)
+        if before.change is not None and result.change is None
+    )
+    assert time < BEGUN + 6.0
+    estimate = next(one.found.estimate for at, one in estimates if at > time + 2.0)
+    assert estimate.value[thigh] == pytest.approx(
+        parameters.values[thigh] + MASS, abs=max(4 * estimate.std[thigh], 0.1)
+    )
+    before = next(one.found.estimate for at, one in estimates if at > BEGUN - 1.0)
+    np.testing.assert_array_equal(estimate.prior, before.prior)
+    assert estimate.determined.any()
+    total = parameters.link_phi(estimate.value)[:, 0].sum()
+    assert total == pytest.approx(41.05 + MASS, abs=0.1)
 
 
 def test_the_estimate_converges_within_three_time_constants(estimates) -> None:
