@@ -1,11 +1,13 @@
-"""Takes the screenshots of the documentation, docs/images/*.png.
+"""Makes the pictures of the documentation: screenshots, docs/images/*.png, and learning.svg.
 
     python docs/screenshots.py report result/report.html
     python docs/screenshots.py plan plan/plan.html
     python docs/screenshots.py live
+    python docs/screenshots.py learning
 
-The last one runs the nodes of `symbid demo --online --web`, with a payload after 15 s. It needs
-Chromium and the packages of requirements-dev.txt.
+The last one draws two robots of `symbid demo --learn` as an animation. The others need Chromium and
+the packages of requirements-dev.txt. `live` runs the nodes of `symbid demo --online --web`, with a
+payload after 15 s.
 """
 
 import argparse
@@ -23,11 +25,17 @@ sys.path.insert(0, str(ROOT / "test" / "support"))
 from browser import DESKTOP, PHONE, Browser, find_chromium, started_browser  # noqa: E402
 
 from symbid_ros.cli.demo import MEMORY, PAYLOAD, draw_demo_prior  # noqa: E402
+from symbid_ros.cli.learning_demo import SEED, write_wrong_model  # noqa: E402
 from symbid_ros.cli.processes import NodeProcess, private_graph  # noqa: E402
+from symbid_ros.learning.figures import ALONE, LEARNING  # noqa: E402
+from symbid_ros.learning.lockstep import LearningRun, LearningTask  # noqa: E402
+from symbid_ros.learning.page import robot_animation  # noqa: E402
+from symbid_ros.model.load import load_model  # noqa: E402
 from symbid_ros.package_paths import config_file  # noqa: E402
 
 COLOURS = 256
 PAYLOAD_TIME, SECONDS = 15.0, 40.0  # s; when the payload is attached, and the picture taken
+LEARNING_SECONDS = 20.0
 # Of each kind of page: name of the picture, width of the window, dark or light, height, px.
 SHOTS = {
     "report": (
@@ -45,12 +53,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("kind", choices=SHOTS)
+    parser.add_argument("kind", choices=(*SHOTS, "learning"))
     parser.add_argument("page", type=Path, nargs="?", help="HTML file of a report or plan")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images")
     arguments = parser.parse_args()
-    if (arguments.page is None) != (arguments.kind == "live"):
-        parser.error("give the HTML file of a report or plan, and none for live")
+    if (arguments.page is None) != (arguments.kind in ("live", "learning")):
+        parser.error("give the HTML file of a report or plan, and none otherwise")
+    if arguments.kind == "learning":
+        draw_learning(arguments.out / "learning.svg")
+        return
     executable = find_chromium()
     if executable is None:
         sys.exit("no Chromium found; install it or set SYMBID_CHROMIUM")
@@ -68,6 +79,23 @@ def main() -> None:
                 path, optimize=True
             )
             print(f"{path}: {path.stat().st_size // 1000} kB")
+
+
+def draw_learning(path: Path) -> None:
+    """Draw the robots of `symbid demo --learn`: one falls, one learns its model and stands."""
+    model = config_file("symbitron.xml")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        draw_demo_prior(folder, model, 25.0, SEED)
+        task = LearningTask(
+            write_wrong_model(folder, model), LEARNING_SECONDS, moves=20, noise_seed=SEED
+        )
+        records = {
+            label: LearningRun(task, learns=learns).run()
+            for label, learns in ((ALONE, False), (LEARNING, True))
+        }
+    path.write_text(robot_animation(load_model(model), records))
+    print(f"{path}: {path.stat().st_size // 1000} kB")
 
 
 def photograph(

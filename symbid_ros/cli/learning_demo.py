@@ -18,24 +18,31 @@ if TYPE_CHECKING:
 SEED = 2
 
 
-def demonstrate_learning(
-    out: Path, model: Path, moves: int, percent: float, seed: int, console: Console
-) -> None:
-    """Let three robots move side by side, and report, with the prior in the folder."""
+def write_wrong_model(out: Path, model: Path) -> Path:
+    """Write ``wrong.xml``, the model with the values of the prior in the folder."""
     from symbid_ros.estimation.prior import load_prior
-    from symbid_ros.learning.figures import ALONE, LEARNING, TRUE
-    from symbid_ros.learning.lockstep import LearningRun, LearningTask
-    from symbid_ros.learning.page import event_text, summary_rows, verdict, write_learning_report
     from symbid_ros.model.export_mjcf import mjcf_text
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
 
-    robot = load_model(model)
-    parameters = ParameterSet(robot)
+    parameters = ParameterSet(load_model(model))
+    prior = load_prior(out / "prior.json", parameters)
     wrong = out / "wrong.xml"
-    write_text(
-        wrong, mjcf_text(parameters.apply(load_prior(out / "prior.json", parameters).mean), model)
-    )
+    write_text(wrong, mjcf_text(parameters.apply(prior.mean), model))
+    return wrong
+
+
+def demonstrate_learning(
+    out: Path, model: Path, moves: int, percent: float, seed: int, console: Console
+) -> None:
+    """Let three robots move side by side, and report, with the prior in the folder."""
+    from symbid_ros.learning.figures import ALONE, LEARNING, TRUE
+    from symbid_ros.learning.lockstep import LearningRun, LearningTask
+    from symbid_ros.learning.page import event_text, summary_rows, verdict, write_learning_report
+    from symbid_ros.model.load import load_model
+
+    robot = load_model(model)
+    wrong = write_wrong_model(out, model)
     task = LearningTask(wrong, moves=moves, noise_seed=seed)
     known = LearningTask(model, moves=moves, noise_seed=seed)
     runs = {

@@ -81,7 +81,7 @@ def robot_animation(model: RobotModel, runs: Mapping[str, LearningRecord]) -> st
     ):
         record = runs[label]
         since = decided if record.fall is None else record.fall.time
-        text = f"stands until the end, {record.time[-1]:.0f} s"
+        text = f"still stands after {record.time[-1]:.0f} s"
         caption = text if record.fall is None else outcome(record)
         actors[title] = Actor(record, COLOURS[label], caption, since)
     return animation(model, SOLES, actors, max(0.0, decided - SHOWN), decided + AFTER)

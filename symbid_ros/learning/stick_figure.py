@@ -73,12 +73,12 @@ def animation(
         parts.append(f'<text x="130" y="24" text-anchor="middle">{escape(title)}</text>')
         parts += _robot(model, soles, actor, times, seconds)
         parts.append(
-            f'<text x="130" y="{height - 18:g}" fill="{actor.colour}" text-anchor="middle">'
+            f'<text x="130" y="{height - 18:g}" text-anchor="middle">'
             f"{escape(actor.caption)}{_shown(actor.since - start, seconds, seconds)}</text>"
         )
         parts.append("</g>")
-    for second in range(int(np.ceil(start)), int(np.ceil(stop))):
-        begin, end = max(second - 1 - start, 0.0), second - start
+    for second in range(int(start), int(np.ceil(stop))):
+        begin, end = max(second - start, 0.0), min(second + 1 - start, seconds)
         parts.append(
             f'<text x="{width / 2:g}" y="{height - 18:g}" class="quiet" text-anchor="middle">'
             f"{second} s{_shown(begin, end, seconds)}</text>"

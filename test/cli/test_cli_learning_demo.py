@@ -34,6 +34,12 @@ def test_three_robots_move_side_by_side_and_are_reported(tmp_path, monkeypatch) 
     assert len(drawn) == 2 * 3
     frames = [line.find("{*}animate").get("values").split(";") for line in drawn]
     assert len(set(map(len, frames))) == 1
+    # An outcome is shown only when it is known.
+    outcomes = [
+        text for text in robots.findall(".//{*}g/{*}text") if text.find("{*}animate") is not None
+    ]
+    assert [text.text.partition(" ")[0] for text in outcomes] == ["still", "still"]
+    assert all(text.find("{*}animate").get("values") == "0;1" for text in outcomes)
 
     for words in (("--out", out), ("--out", tmp_path / "other", "--online")):
         again = run_symbid("demo", "--learn", *words, output=tmp_path / f"again{len(words)}")
