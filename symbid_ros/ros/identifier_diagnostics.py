@@ -4,6 +4,8 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from symbid_ros.estimation.change import LinkChange
 from symbid_ros.learning.candidate import RobotUncertainty, robot_uncertainty
 from symbid_ros.messages.topics import Topic
@@ -11,6 +13,7 @@ from symbid_ros.online.identification import OnlineEstimate, OnlineIdentificatio
 from symbid_ros.online.live_streams import LiveStreams, TopicBuffer
 from symbid_ros.ros.estimate_topics import estimate_status
 from symbid_ros.ros.reporting import ERROR, OK, WARN, NodeStatus
+from symbid_ros.signals.sensor_errors import CalibratingRows
 
 SILENCE = 2.0  # s without a message until a topic is reported
 RATE_PERIOD = 0.5  # s; shortest time over which rates are computed
@@ -25,6 +28,20 @@ class _Counts:
     stale: int = 0
     newest: int | None = None
     is_stale: bool = False
+
+
+def _sensor_statuses(outcome: OnlineEstimate) -> tuple[NodeStatus, ...]:
+    """Return the status with the estimated sensor errors, if there are any."""
+    found, rows = outcome.found, outcome.found.rows
+    if not isinstance(rows, CalibratingRows) or found.factor is None:
+        return ()
+    names = rows.errors.names
+    first = len(found.unknowns) - len(names)
+    values: dict[str, object] = {}
+    stds = np.linalg.norm(found.factor[first:], axis=1)
+    for name, value, std in zip(names, found.unknowns[first:], stds, strict=True):
+        values |= {name: f"{value:.6g}", f"{name}/std": f"{std:.3g}"}
+    return (NodeStatus("sensors", OK, f"{len(names)} sensor errors estimated", values),)
 
 
 @dataclass
@@ -90,6 +107,7 @@ class IdentifierDiagnostics:
         self._estimate = NodeStatus("estimate", WARN, "no estimate yet")
         self._streams = NodeStatus("streams", WARN, "no sensor topics yet")
         self._change = NodeStatus("change", OK, TOO_EARLY)
+        self._sensors: tuple[NodeStatus, ...] = ()
         self._counts: dict[str, int] = {}
         self._dropped: dict[str, int] = {}
         self._monitor = StreamMonitor()
@@ -110,6 +128,7 @@ class IdentifierDiagnostics:
             ),
             self._streams,
             self._change,
+            *self._sensors,
         )
 
     def set_waiting(self, found: Iterable[Topic], missing: Iterable[str] = ()) -> None:
@@ -145,6 +164,7 @@ class IdentifierDiagnostics:
         age = 0.0 if newest is None else (newest - outcome.until) * 1e-9
         known = robot_uncertainty(outcome, live.posture())
         self._estimate = self._estimate_status(outcome, known, age, solve_time)
+        self._sensors = _sensor_statuses(outcome)
         values = {"evidence": f"{live.evidence:.1f}"}
         change = outcome.change or outcome.followed
         if change is None:

@@ -49,6 +49,7 @@ EXACT_COST = 4.0
 # Longest time for an estimate at shutdown, s; launch kills nodes that take a few seconds.
 SHUTDOWN_SOLVE_TIME = 1.5
 ANSWER_POLL = 0.1  # s
+CHANGE = "change of the robot"  # what is reported as resolved
 TARE_TIME = 2.0  # s over which the readings of unloaded sensors are averaged
 DISCOVERY_PERIOD = 0.1  # s between two looks at the graph before identification starts
 LATER_DISCOVERY_PERIOD = 1.0  # s afterwards
@@ -116,7 +117,7 @@ class OnlineIdentifier:
         self._newest: OnlineEstimate | None = None
         self._solve_time = 0.0  # s
         self._diagnostics = IdentifierDiagnostics()
-        self._fault_reporter = FaultReporter(node)
+        self._fault_reporter, self._change_reporter = FaultReporter(node), FaultReporter(node)
         for service, work in (
             ("reset", self._reset),
             ("solve", self._solve_on_request),
@@ -255,6 +256,8 @@ class OnlineIdentifier:
         spent = time.monotonic() - began
         self._diagnostics.set_estimate(self._live, estimate, spent)
         if estimate is not None:
+            change = estimate.change
+            self._change_reporter.update({} if change is None else {CHANGE: str(change)})
             self._solves += 1
             self._newest = estimate
             if not exactly:

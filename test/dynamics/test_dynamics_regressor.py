@@ -11,11 +11,12 @@ from random_robots import CONFIG, random_robot, random_samples, with_drives
 
 from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.kinematics import CACHE_BLOCK
-from symbid_ros.dynamics.regressor import equation_of_motion, is_slipping
+from symbid_ros.dynamics.regressor import equation_of_motion, equation_residual, is_slipping
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.payload import Payload
 
 ROBOTS = Path(pinocchio.__file__).parents[4] / "share/example-robot-data/robots"
 REAL = {
@@ -243,3 +244,23 @@ def test_load_friction_is_in_proportion_to_the_effort_without_friction(floating)
     slips = is_slipping(samples.velocity)
     expected = np.abs(effort) * np.sign(samples.velocity)
     np.testing.assert_allclose(columns[slips], expected[slips], rtol=1e-9)
+
+
+@pytest.mark.parametrize("floating", [True, False])
+@pytest.mark.parametrize("terms", [TERMS, ("viscous", "load")])
+def test_a_residual_without_its_regressor_is_that_of_the_rows(floating, terms):
+    rng = np.random.default_rng(4)
+    model = random_robot(4, links=5, floating=floating, wrench_frames=1)
+    model = with_drives(model, rng, damping=5.0, armature=1.0, friction_loss=3.0)
+    frames = tuple(frame.name for frame in model.frames if frame.name.startswith("wrench"))
+    samples = random_samples(model, 20, rng, frames)
+    parameters = ParameterSet(model, terms)
+    payload = Payload(3, rng.normal(size=10), stop=int(samples.stamp[10]))
+    parameters = replace(
+        parameters, payloads=(payload,), reference=rng.normal(size=parameters.inertial)
+    )
+    phi = rng.normal(size=len(parameters))
+    rows = equation_of_motion(parameters, samples)
+    expected = rows.y - rows.K @ phi
+    found = equation_residual(parameters, samples, phi)
+    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())

@@ -244,6 +244,39 @@ def test_a_change_caused_by_a_payload_names_its_link(graph) -> None:
     graph.wait_until(lambda: abs(float(probe.values("change")["mass"]) - 2.0) < 0.2)
 
 
+def test_sensor_errors_are_estimated_after_a_tare(graph) -> None:
+    probe = EstimateProbe(graph)
+    live = identifier(
+        graph,
+        sensor_errors="[typical]",
+        total_mass=41.05,
+        wrench_topic="[left_foot/wrench, right_foot/wrench]",
+        **LINKS,
+    )
+    assert "no sensor topics yet" in call(graph, Trigger, "/identifier/tare").message
+    robot = {"errors": "typical", "error_seed": 11}
+    hanging = bridge(graph, scenario="tare", **robot)
+    graph.wait_until(lambda: "left_foot/wrench" in str(probe.statuses.get("streams", "")))
+    graph.wait_until(lambda: "waiting" not in probe.statuses["streams"].message)
+    answer = call(graph, Trigger, "/identifier/tare")
+    assert answer.message.startswith("left_sole, right_sole tared"), answer.message
+    hanging.ended()
+    assert call(graph, Trigger, "/identifier/reset").success
+    bridge(graph, moves=40, **robot)
+    graph.wait_until(lambda: "sensors" in probe.statuses)
+    offset = "left_sole/plate_offset_force_z"
+    assert float(probe.values("sensors")[f"{offset}/std"]) < 0.1  # by the tare
+    live.send(signal.SIGINT)
+    assert live.ended().status == 0
+
+
+def test_a_tare_needs_sensor_errors(graph) -> None:
+    identifier(graph, **LINKS)
+    answer = call(graph, Trigger, "/identifier/tare")
+    assert not answer.success
+    assert "parameter sensor_errors: none" in answer.message
+
+
 def test_parameters_are_described_and_checked(graph) -> None:
     probe = EstimateProbe(graph)
     live = identifier(graph)
