@@ -59,6 +59,13 @@ def demo(
             "does not: in simulated time, without ROS.",
         ),
     ] = False,
+    payload: Annotated[
+        bool,
+        typer.Option(
+            "--payload",
+            help="With --learn: attach 5 kg to a thigh while the robots move, and remove them.",
+        ),
+    ] = False,
     port: WebPort = 8377,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the folder of an earlier demo.")
@@ -71,6 +78,8 @@ def demo(
         raise typer.BadParameter(
             "with --online or --web it cannot be combined", param_hint="--learn"
         )
+    if payload and not learn:
+        raise typer.BadParameter("needs --learn", param_hint="--payload")
     console = Console()
     if seed is None:
         seed = LEARNING_SEED if learn else 0
@@ -78,7 +87,7 @@ def demo(
     model = config_file("symbitron.xml")
     draw_demo_prior(out, model, percent, seed)
     if learn:
-        demonstrate_learning(out, model, moves, percent, seed, console)
+        demonstrate_learning(out, model, moves, percent, seed, console, with_payload=payload)
         print_report(out, console)
         return
     if web:

@@ -1,6 +1,7 @@
 """``symbid demo --learn``: a robot with a wrong model falls, and one that learns its own stands."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,11 @@ if TYPE_CHECKING:
 
 # A prior of ±25 % with which the robot falls in its first large move.
 SEED = 2
+# What the robots carry with --payload, and between which shares of the motion. The identifier
+# forgets with this time constant, s, as otherwise it would mix data with and without a payload.
+CARRIED_LINK, CARRIED_MASS, PLACE = "L_thigh", 5.0, (0.2, 0.0, 0.05)
+ATTACHED, REMOVED = 0.4, 0.7
+MEMORY = 10.0
 
 
 def write_wrong_model(out: Path, model: Path) -> Path:
@@ -33,18 +39,35 @@ def write_wrong_model(out: Path, model: Path) -> Path:
 
 
 def demonstrate_learning(
-    out: Path, model: Path, moves: int, percent: float, seed: int, console: Console
+    out: Path,
+    model: Path,
+    moves: int,
+    percent: float,
+    seed: int,
+    console: Console,
+    *,
+    with_payload: bool = False,
 ) -> None:
     """Let three robots move side by side, and report, with the prior in the folder."""
     from symbid_ros.learning.figures import ALONE, LEARNING, TRUE
     from symbid_ros.learning.lockstep import LearningRun, LearningTask
     from symbid_ros.learning.page import event_text, summary_rows, verdict, write_learning_report
     from symbid_ros.model.load import load_model
+    from symbid_ros.simulation.body_inertia import Payload
 
     robot = load_model(model)
     wrong = write_wrong_model(out, model)
     task = LearningTask(wrong, moves=moves, noise_seed=seed)
-    known = LearningTask(model, moves=moves, noise_seed=seed)
+    if with_payload:
+        duration = LearningRun(task, learns=False).duration
+        task = replace(
+            task,
+            payload=Payload(CARRIED_LINK, CARRIED_MASS, PLACE),
+            attached=round(ATTACHED * duration, 1),
+            removed=round(REMOVED * duration, 1),
+            memory=MEMORY,
+        )
+    known = replace(task, model=model)
     runs = {
         ALONE: LearningRun(task, learns=False),
         LEARNING: LearningRun(task, learns=True, bag=out / "bag"),
@@ -54,6 +77,13 @@ def demonstrate_learning(
         f"Three robots move for {runs[TRUE].duration:.0f} s of simulated time. The models of two "
         f"are wrong by up to {percent:g} % in each number; one of these learns its own."
     )
+    carried = {}
+    if with_payload:
+        text = (
+            f"{CARRIED_MASS:g} kg on {CARRIED_LINK} from {task.attached:g} s to {task.removed:g} s"
+        )
+        console.print(f"They carry {text}, which no model contains.")
+        carried["Payload"] = text
     with _bars(console) as progress:
         active = {
             label: _follow(progress, progress.add_task(label, total=run.duration, now=""), run)
@@ -74,6 +104,7 @@ def demonstrate_learning(
     facts = {
         "Prior": f"±{percent:g} %, seed {seed}; {wrong.name} has its values",
         "Moves": f"{moves} moves of the centre of mass and turns of the trunk, scenario smooth",
+        **carried,
         "Bag": "bag/, all topics of the robot that learns",
         "Time": "simulated; robot, controller and identifier run in lockstep in one process",
     }

@@ -13,9 +13,12 @@ FIGURES = "com_error", "feed_forward", "deviations"
 def test_three_robots_move_side_by_side_and_are_reported(tmp_path, monkeypatch) -> None:
     out = tmp_path / "demo"
     monkeypatch.setenv("COLUMNS", "60")
-    ended = run_symbid("demo", "--learn", "--moves", 1, "--out", out, output=tmp_path / "first")
+    words = "--learn", "--payload", "--moves", 1
+    ended = run_symbid("demo", *words, "--out", out, output=tmp_path / "first")
     assert ended.returncode == 0, ended.stderr
     assert "takes over a model: mass 41.0" in ended.stdout
+    assert "attached: 5 kg, L_thigh" in ended.stdout
+    assert "removed: 5 kg, L_thigh" in ended.stdout
     assert max(map(len, ended.stdout.splitlines())) <= 60
     assert json.loads((out / "prior.json").read_text())["seed"] == 2
     counts = topic_counts(out / "bag")
@@ -45,3 +48,5 @@ def test_three_robots_move_side_by_side_and_are_reported(tmp_path, monkeypatch) 
         again = run_symbid("demo", "--learn", *words, output=tmp_path / f"again{len(words)}")
         assert again.returncode == 2
     assert not (tmp_path / "other").exists()
+    unloaded = run_symbid("demo", "--payload", output=tmp_path / "unloaded")
+    assert unloaded.returncode == 2
