@@ -17,7 +17,12 @@ from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.stance_closure import RestingSoles, closure_rows, find_stances
+from symbid_ros.identification.stance_closure import (
+    RestingSoles,
+    closure_rows,
+    contradicted_geometry,
+    find_stances,
+)
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
@@ -263,8 +268,13 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     remarks: tuple[str, ...] = ()
     forceful = pseudo_measurements
     stances = RestingSoles()
-    if parameters.model.floating and not set(KINEMATIC_ERRORS).isdisjoint(errors.kinds):
-        stances = find_stances(dataset.segments, parameters.model)
+    alarms: tuple[str, ...] = ()
+    if parameters.model.floating:
+        found_stances = find_stances(dataset.segments, parameters.model)
+        if not set(KINEMATIC_ERRORS).isdisjoint(errors.kinds):
+            stances = found_stances
+        elif alarm := contradicted_geometry(found_stances, parameters.model):
+            alarms = (alarm,)
     for _ in range(PASSES - 1):
         build = extended.rows(point)
         closed = closure_rows(stances, parameters, errors, point)
@@ -293,6 +303,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
         pseudo_measurements=pseudo_measurements,
         calibrated_rows=build,
         remarks=remarks,
+        alarms=alarms,
     )
 
 

@@ -164,7 +164,11 @@ class LoadedProblem:
         estimate = replace(found.estimate, rows=settings)
         count = self.parameters.inertial
         masses = self.prior.mean[:count:10], estimate.value[:count:10]
-        alarms = (*self.checks.alarms, *contact_alarms(self.parameters.model, *masses))
+        alarms = (
+            *self.checks.alarms,
+            *self.solver.problem.alarms,
+            *contact_alarms(self.parameters.model, *masses),
+        )
         if estimate.verdict is not None and alarms:
             verdict = estimate.verdict
             verdict = replace(verdict, alarms=(*alarms, *verdict.alarms))

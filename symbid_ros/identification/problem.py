@@ -73,6 +73,8 @@ class Problem:
         N: other sets of joint terms that explain the data as well add the covariance N Nᵀ.
     remarks : tuple of str
         What the log cannot tell about the scale of efforts.
+    alarms : tuple of str
+        What contradicts the model besides the rows.
     force_scale_std : float or None
         Relative deviation of the gain that all forces and efforts have in common, which enters all
         deviations. None: the usual one, which enters those of the masses.
@@ -91,6 +93,7 @@ class Problem:
     choice: "TermChoice | None" = None
     term_deviations: FloatArray | None = None
     remarks: tuple[str, ...] = ()
+    alarms: tuple[str, ...] = ()
     force_scale_std: float | None = None
 
     @property

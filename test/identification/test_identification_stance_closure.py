@@ -15,6 +15,7 @@ from symbid_ros.identification.stance_closure import (
     Stance,
     TrackedStance,
     closure_rows,
+    contradicted_geometry,
     find_stances,
 )
 from symbid_ros.model.load import load_model
@@ -92,6 +93,21 @@ def test_resting_soles_tell_the_geometry(parameters):
         RestingSoles((stance,)), parameters, errors, LinearizationPoint(None, truth)
     )
     assert np.linalg.norm(at_truth.rows[:, p:] @ truth - at_truth.targets) < 0.3
+
+
+def test_resting_soles_contradict_wrong_lengths_but_no_encoder_offsets(parameters):
+    """Offsets of encoders, which are estimated, explain what their errors do to the poses."""
+    errors, model = errors_of(parameters), parameters.model
+    for kinds, expected in (({"encoder_offset"}, False), (set(KINDS), True)):
+        rng = np.random.default_rng(6)
+        truth = np.zeros(len(errors))
+        for kind in kinds:
+            place = errors.places[kind]
+            truth[place] = errors.std[place] * rng.standard_normal(place.stop - place.start)
+        stance = Stance(SOLES, readings(parameters, errors, truth, 200, rng))
+        alarm = contradicted_geometry(RestingSoles((stance,)), model)
+        assert ("link lengths" in alarm) == expected
+    assert contradicted_geometry(RestingSoles(), model) == ""
 
 
 def tracked(parameters, errors, theta, rng, *, late=0.0, noise=0.0):
