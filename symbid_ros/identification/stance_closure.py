@@ -41,7 +41,7 @@ LARGEST = np.repeat([np.radians(0.5), 3e-3], 3)
 # wrong lengths can imitate.
 LEAST = np.repeat([1e-4, 5e-5], 3)
 PASSES = 3  # of the deviations of residuals
-# Decrease of the cost by displaced joints from which these are evident. It was 3 to 9 for right
+# Decrease of the cost by displaced joints from which these are evident. It is below 10 for right
 # lengths, and several hundred for lengths that are wrong by 1 to 2 mm.
 CONTRADICTION = 50.0
 
