@@ -95,8 +95,7 @@ class OnlineEstimate:
     found : Identification
         The estimate and its observations; has a verdict only if solved exactly.
     parameters : ParameterSet
-        The estimate's parameters: those that an offline run gives if solved exactly, else with all
-        candidate terms.
+        The estimate's parameters, with the joint terms that the data ask for.
     until : int
         Stamp of the newest data in it, ns.
     window : float
