@@ -9,7 +9,7 @@ from symbid_ros.messages.sensor_streams import build_wrench_stream
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.online.live_streams import TopicBuffer
 from symbid_ros.online.message_check import MessageCheck
-from symbid_ros.signals.defects import DefectCounts
+from symbid_ros.signals.defects import CLOCK_JUMP, DefectCounts
 
 logger = logging.getLogger(__name__)
 
@@ -30,14 +30,19 @@ class TareRecording:
 
     def __init__(self, selected: SelectedTopics, checks: Mapping[Topic, MessageCheck]) -> None:
         self._selected, self._checks = selected, checks
-        self._buffers = {topic: TopicBuffer(topic) for topic in selected.wrenches}
+        # The clock of a bag that is played again and again jumps back, after which a run begins.
+        self._runs = {topic: [TopicBuffer(topic)] for topic in selected.wrenches}
 
     def add(self, topic: Topic, payload: bytes) -> None:
         """Add a message; those of other sensors and invalid ones are dropped."""
-        if topic not in self._buffers:
+        if topic not in self._runs:
             return
+        runs = self._runs[topic]
         for stamp, usable in self._checks[topic].take(payload):
-            self._buffers[topic].add(stamp, usable)
+            newest = runs[-1].newest
+            if newest is not None and stamp < newest - CLOCK_JUMP:
+                runs.append(TopicBuffer(topic))
+            runs[-1].add(stamp, usable)
 
     def tares(self) -> dict[str, Tare]:
         """Return the readings of the unloaded sensors, by frame.
@@ -48,7 +53,8 @@ class TareRecording:
             When no sensor was unloaded, or a reading is NaN or infinite.
         """
         wrenches = []
-        for topic, buffer in self._buffers.items():
+        for topic, runs in self._runs.items():
+            buffer = max(runs, key=lambda one: len(one.stamps))
             stamps = buffer.stamps
             if len(stamps) < FEWEST:
                 logger.warning("%s: no messages for the tare; check its driver", topic.name)

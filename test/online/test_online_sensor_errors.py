@@ -129,6 +129,14 @@ def test_a_live_tare_reads_what_a_bag_does(tare, tares) -> None:
         np.testing.assert_allclose(one.std, tares[frame].std, rtol=1e-9)
 
 
+def test_a_clock_that_jumps_back_does_not_spoil_a_tare(tare, tares) -> None:
+    """As of a bag that is played again and again: what follows the jump counts."""
+    feed = feed_of(tare)
+    again = replace(feed, messages=feed.between(4.0, 4.5).messages + feed.messages)
+    for frame, one in recorded(again).tares().items():
+        np.testing.assert_allclose(one.mean, tares[frame].mean, rtol=1e-9)
+
+
 def test_a_loaded_or_silent_sensor_is_not_tared(feed) -> None:
     with pytest.raises(DataError, match="no unloaded wrench sensor"):
         recorded(feed.between(1.0, 1.2)).tares()
