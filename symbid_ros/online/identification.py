@@ -282,7 +282,11 @@ class OnlineIdentification:
         while solver is not None and self._relinearize(solver.posterior):
             self._add_processed(self._worker.finish())
             solver = self._exact_solver(open_block)
-        return None if solver is None else self._estimate(solver, with_verdict=True)
+        return (
+            None
+            if solver is None
+            else self._estimate(solver, self._monitor.change, with_verdict=True)
+        )
 
     def _exact_solver(self, open_block: TimeSpan | None) -> Solver | None:
         """Return the solver of all blocks and the open one; None if there are too few data."""
@@ -334,12 +338,14 @@ class OnlineIdentification:
         self._relinearize(solver.posterior)
         # What is known of the noise comes with the first block. Until then deviations are too small
         # for a comparison, except with the wide prior of the start.
+        change = self._monitor.change
         if new and (not self._reference or self._accumulator.blocks.count):
             slips = self._choice is not None and self._choice.slips
             rows = [block.slipping() for block in new] if slips else new
             self._monitor.update(rows, solver.posterior)
+            change = self._monitor.change  # this estimate is still of data from before it as well
             self._follow_change()
-        return self._estimate(solver, with_verdict=False)
+        return self._estimate(solver, change, with_verdict=False)
 
     def _start(self, prior: Prior) -> FloatArray | None:
         """Return the last estimate, or else the mean, of a prior's parameters."""
@@ -483,7 +489,9 @@ class OnlineIdentification:
             self._accumulator.restart(self._accumulator.blocks, window)
             self._monitor.restart()
 
-    def _estimate(self, solver: Solver, *, with_verdict: bool) -> OnlineEstimate:
+    def _estimate(
+        self, solver: Solver, change: Change | None, *, with_verdict: bool
+    ) -> OnlineEstimate:
         found = self._identify(solver, with_verdict=with_verdict)
         window = solver.chosen.window
         if not with_verdict:
@@ -496,7 +504,7 @@ class OnlineIdentification:
             self._until,
             window,
             solver.alarms,
-            self._monitor.change,
+            change,
             self._monitor.followed,
         )
 
