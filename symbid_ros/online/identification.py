@@ -505,7 +505,7 @@ class OnlineIdentification:
             window,
             solver.alarms,
             change,
-            self._monitor.followed,
+            None if change is not None else self._monitor.followed,
         )
 
     def _compared_with_the_start(self, found: Identification) -> Identification:
