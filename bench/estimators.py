@@ -250,7 +250,7 @@ def with_poses(bag: Path, seed: int) -> Log:
 
 
 def unknowns(loaded: LoadedProblem, errors: str) -> Unknowns:
-    """Return what is unknown and what is known of a log with these simulated errors."""
+    """Return the unknowns, prior and noise of a log with these simulated errors."""
     problem = loaded.solver.problem
     noise = load_noise(config_file("noise.yaml"))
     drawn = parse_errors(errors)

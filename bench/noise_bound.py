@@ -81,7 +81,7 @@ def band_information(
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What is unknown and what is known of a log.
+    """The unknowns of a log besides the parameters, with their prior and the noise.
 
     Attributes
     ----------

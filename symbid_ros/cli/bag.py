@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from symbid_ros.cli.flags import BaseKind, Robot, with_flags
+from symbid_ros.cli.flags import LogBaseKind, Robot, with_flags
 from symbid_ros.cli.verbosity import progress_shown, with_verbosity
 from symbid_ros.identification.contact_options import ContactOptions
 from symbid_ros.messages.log_options import LogOptions
@@ -81,7 +81,7 @@ def doctor(
         ),
     ] = None,
     robot: Robot = None,
-    base: BaseKind = "auto",
+    base: LogBaseKind = "auto",
     contacts: ContactOptions,
     as_json: Json = False,
 ) -> None:

@@ -11,6 +11,7 @@ from rich.console import Console
 from symbid_ros.cli.cluster import Dask, bag_location, print_dashboard
 from symbid_ros.cli.flags import (
     BaseKind,
+    LogBaseKind,
     Model,
     ModelOrRobot,
     Robot,
@@ -73,7 +74,7 @@ def identify(
     model: ModelOrRobot = None,
     out: Annotated[Path, typer.Option(help="Folder for the estimate and the identified models.")],
     robot: Robot = None,
-    base: BaseKind = "auto",
+    base: LogBaseKind = "auto",
     options: IdentifyOptions,
     log: LogOptions,
     overwrite: Annotated[

@@ -26,6 +26,11 @@ Robot = Annotated[
 ]
 BaseKind = Annotated[
     Base,
+    typer.Option(help="Base of a URDF; auto: floating, unless the root link is named 'world'."),
+]
+# Of commands that read a log together with the model.
+LogBaseKind = Annotated[
+    Base,
     typer.Option(
         help="Base of a URDF; auto: floating, unless the root link is named 'world', or an arm's "
         "log has neither an IMU nor a pose."

@@ -32,10 +32,9 @@ DISTINGUISHABLE = 10.0
 
 # Lower bound on the prior's weight: its standard deviations at most double.
 LEAST_WEIGHT = 0.25
-# Weight of what data told before a change, from which estimates start anew. Deviations leave out
-# what is wrong with the model in all postures alike, and new postures show it.
+# Weight of the data from before a change in the prior of the estimate that starts anew. An error of
+# the model that is constant in one posture is not in the deviations, and a new posture reveals it.
 LEARNED_WEIGHT = 0.25
-
 
 # A sensor's error changes by this many typical errors: a plate that was hit or an amplifier that
 # was set to zero.

@@ -343,7 +343,7 @@ class OnlineIdentification:
             slips = self._choice is not None and self._choice.slips
             rows = [block.slipping() for block in new] if slips else new
             self._monitor.update(rows, solver.posterior)
-            change = self._monitor.change  # this estimate is still of data from before it as well
+            change = self._monitor.change  # which this estimate, also of older data, contradicts
             self._follow_change()
         return self._estimate(solver, change, with_verdict=False)
 
@@ -359,7 +359,7 @@ class OnlineIdentification:
     def _choose_terms(self, problem: Problem) -> Problem:
         """Return the problem with the joint terms that the data ask for.
 
-        The choice is made again when there are a quarter more blocks than at the last one. It
+        The choice is made again when there are half as many blocks again as at the last one. It
         takes as long as an estimate.
         """
         if not self._parameters.candidates:
@@ -404,11 +404,10 @@ class OnlineIdentification:
             # What follows is too short to tell of what size joint terms may be.
             problem = self._with_candidate_prior(problem)
         terms = replace(problem.prior, assumed=())
-        links = [one for one in change.suspects if isinstance(one, LinkChange)]
-        named = " or ".join(one.link for one in links)
+        named = " or ".join(one.link for one in change.links)
         self._problem = replace(
             self._problem,
-            prior=prior_after_change(before, terms, self._parameters, links),
+            prior=prior_after_change(before, terms, self._parameters, change.links),
             # The posterior before the change contains them, and the sizes of its deviations.
             pseudo_measurements=None,
             is_empirical=False,
@@ -424,7 +423,7 @@ class OnlineIdentification:
                 self._reference |= {name: (mean, std) for name, mean, std in numbers}
         until = self._until
         self._discard_data(self._accumulator.window)
-        self._until = until  # the clock goes on
+        self._until = until  # later messages are stamped by the same clock
         self._monitor.follow()
 
     def _relax_priors(self) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -179,7 +180,7 @@ class Streams:
         def inside(stream: "Stream | PoseStream") -> slice:
             return slice(*np.searchsorted(stream.stamp, [start, stop]))
 
-        poses = tuple(map_arrays(one, lambda values: values[inside(one)]) for one in self.poses)  # noqa: B023
+        poses = tuple(map_arrays(one, itemgetter(inside(one))) for one in self.poses)
         return replace(self.select(inside), poses=poses)
 
 

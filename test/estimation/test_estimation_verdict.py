@@ -16,6 +16,7 @@ from symbid_ros.estimation.truncated_svd import informative_rank
 from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
 from symbid_ros.estimation.verdict import (
     DETERMINED,
+    NOTHING,
     SUSPICIOUS_NOISE,
     SUSPICIOUS_SCALE,
     SUSPICIOUS_WHITENESS,
@@ -197,3 +198,15 @@ def test_only_a_robot_that_contradicts_its_prior_raises_an_alarm():
         )
         assert like == ()
         assert len(unlike) == 1
+
+
+def test_an_estimate_that_the_data_did_not_change_raises_an_alarm(judged):
+    """As of a log in which hardly a row is usable."""
+    assert NOTHING not in judged.verdict.alarms
+    alone = np.linalg.inv(judged.prior.covariance_factor())
+    unmoved = replace(
+        judged.posterior, mean=judged.prior.mean, factor=alone, excess_score=None, other_models=None
+    )
+    verdict = assess(unmoved, judged.prior.mean, judged.parameters, window=0.081, whiteness=1.0)
+    assert verdict.directions == ()
+    assert verdict.alarms[0] == NOTHING
