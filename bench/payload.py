@@ -30,7 +30,8 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
+from symbid_ros.online.estimate import OnlineEstimate
+from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.body_inertia import Payload

@@ -6,7 +6,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.model_gate import CandidateModel
-from symbid_ros.online.identification import OnlineEstimate
+from symbid_ros.online.estimate import OnlineEstimate
 from symbid_ros.report.robot_summary import summarise_robot
 
 

@@ -16,17 +16,10 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.wrist_evidence import check_signs
 from symbid_ros.errors import DataError, SymbidError
-from symbid_ros.estimation.change import (
-    LinkChange,
-    prior_after_change,
-    relaxed_prior,
-    relaxed_sensor_prior,
-)
 from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.accumulator import (
     Accumulator,
     BlockAccumulator,
@@ -36,19 +29,19 @@ from symbid_ros.identification.accumulator import (
 )
 from symbid_ros.identification.calibration import Tare
 from symbid_ros.identification.change_monitor import Change, ChangeMonitor
-from symbid_ros.identification.joint_terms import TermChoice, choose_terms
 from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
-from symbid_ros.identification.term_priors import candidate_prior
 from symbid_ros.identification.window_comparison import WindowSelector
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import BOOL
-from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker
+from symbid_ros.online.changed_priors import ChangedPriors
+from symbid_ros.online.estimate import OnlineEstimate
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.online.live_calibration import FEW, MOST_KEPT, LiveCalibration
 from symbid_ros.online.live_streams import LiveStreams
+from symbid_ros.online.live_terms import LiveTerms
 from symbid_ros.online.message_check import MessageCheck
 from symbid_ros.signals.alignment import joint_columns
 from symbid_ros.signals.sensor_errors import CalibratingRows
@@ -58,8 +51,6 @@ logger = logging.getLogger(__name__)
 
 RECENT_FAULTS = 10
 POSTURE_TIME = 50_000_000  # ns; every part of a robot publishes its joints within this time
-# Factor by which the number of blocks grows between two choices of the joint terms.
-CHOOSE_AGAIN = 1.5
 
 
 @dataclass(frozen=True)
@@ -84,37 +75,6 @@ class Pace:
     lag: float = 0.5
     share: float = 0.15
     in_step: bool = False
-
-
-@dataclass(frozen=True)
-class OnlineEstimate:
-    """An estimate and the time of its newest data.
-
-    Attributes
-    ----------
-    found : Identification
-        The estimate and its observations; has a verdict only if solved exactly.
-    parameters : ParameterSet
-        The estimate's parameters, with the joint terms that the data ask for.
-    until : int
-        Stamp of the newest data in it, ns.
-    window : float
-        Length of the rows' windows, s.
-    alarms : tuple of str
-        Problems of the estimate, one line each.
-    change : Change or None
-        Detected change of the robot, which contradicts the estimate.
-    followed : Change or None
-        The last change, if the estimate is from data since then.
-    """
-
-    found: Identification
-    parameters: ParameterSet
-    until: int
-    window: float
-    alarms: tuple[str, ...]
-    change: Change | None
-    followed: Change | None
 
 
 class OnlineIdentification:
@@ -149,8 +109,8 @@ class OnlineIdentification:
         self._inputs = (*initial_state.problem.inputs, *topics)
         self._problem = replace(initial_state.problem, inputs=self._inputs)
         self._calibration: LiveCalibration | None = None
-        # Mean and deviation by name, of an estimate that starts anew after a change.
-        self._reference: dict[str, tuple[float, float]] = {}
+        self._changed = ChangedPriors(self._parameters, self._problem.remarks)
+        self._terms = LiveTerms(self._parameters)
         self._scheduler = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
         self.lost_blocks = self.clock_jumps = 0
@@ -165,12 +125,8 @@ class OnlineIdentification:
             for topic in selected.all
         }
         self._posterior: Posterior | None = None
-        self._choice: TermChoice | None = None
-        self._chosen_at = 0
-        self._relaxed: set[str] = set()
-        # Each with the number of blocks from which it was found.
+        # With the number of blocks from which it was found.
         self._is_coupled: tuple[int, bool] | None = None
-        self._candidate_prior: tuple[int, Prior, Prior] | None = None
         self._until = 0
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
         # Windows that suit the topics' rate; empty until the rate is known.
@@ -298,12 +254,7 @@ class OnlineIdentification:
         if not problem.observations:
             return None
         self._check_weight(problem.observations[0])
-        if self._parameters.candidates:
-            prior = candidate_prior(problem.prior, self._parameters, problem.observations[0])
-            problem = replace(problem, prior=prior)
-            self._choice = choose_terms(problem)
-            problem = replace(self._choice.applied(problem), choice=self._choice)
-        return Solver.of(problem)
+        return Solver.of(self._terms.chosen_anew(problem))
 
     def _relinearize(self, found: Posterior) -> bool:
         """Begin to linearize the rows about an estimate if it moved; return whether it did."""
@@ -327,7 +278,7 @@ class OnlineIdentification:
             self._choose_window(blocks)
             now = self._accumulator.current
         self._check_weight(now)
-        problem, now = blocks, self._usable_rows(now).restricted(blocks.prior.names)
+        problem, now = blocks, self._terms.usable_rows(now).restricted(blocks.prior.names)
         # Whether covariances may be weights is tested with each complete block.
         count, tested = self._accumulator.blocks.count, self._is_coupled
         is_coupled = tested[1] if tested is not None and tested[0] == count else None
@@ -339,9 +290,8 @@ class OnlineIdentification:
         # What is known of the noise comes with the first block. Until then deviations are too small
         # for a comparison, except with the wide prior of the start.
         change = self._monitor.change
-        if new and (not self._reference or self._accumulator.blocks.count):
-            slips = self._choice is not None and self._choice.slips
-            rows = [block.slipping() for block in new] if slips else new
+        if new and (not self._changed.has_restarted or self._accumulator.blocks.count):
+            rows = [block.slipping() for block in new] if self._terms.slips else new
             self._monitor.update(rows, solver.posterior)
             change = self._monitor.change  # which this estimate, also of older data, contradicts
             self._follow_change()
@@ -357,34 +307,12 @@ class OnlineIdentification:
         return np.array([known.get(name, mean) for name, mean in means])
 
     def _choose_terms(self, problem: Problem) -> Problem:
-        """Return the problem with the joint terms that the data ask for.
-
-        The choice is made again when there are half as many blocks again as at the last one. It
-        takes as long as an estimate.
-        """
-        if not self._parameters.candidates:
-            return problem
-        problem = self._with_candidate_prior(problem)
-        count = self._accumulator.blocks.count
-        if self._choice is None or count >= CHOOSE_AGAIN * self._chosen_at:
-            before = self._choice
-            self._choice, self._chosen_at = choose_terms(problem, before), max(count, 1)
-            if before is not None and before.slips != self._choice.slips:
-                self._monitor.restart()
-        return self._choice.applied(problem)
-
-    def _with_candidate_prior(self, problem: Problem) -> Problem:
-        count, known = self._accumulator.blocks.count, self._candidate_prior
-        if known is None or not count or known[0] != count or known[1] is not problem.prior:
-            prior = candidate_prior(problem.prior, self._parameters, problem.observations[0])
-            known = self._candidate_prior = count, problem.prior, prior
-        return replace(problem, prior=known[2])
-
-    def _usable_rows(self, observations: Observations) -> Observations:
-        """Return the rows that the chosen terms allow; all if none of them slips yet."""
-        if self._choice is None:
-            return observations
-        return next(iter(self._choice.rows((observations,))), observations)
+        """Return the problem with the joint terms that the data ask for."""
+        before = self._terms.slips
+        chosen = self._terms.applied(problem, self._accumulator.blocks.count)
+        if before not in (None, self._terms.slips):
+            self._monitor.restart()
+        return chosen
 
     def _follow_change(self) -> None:
         """Start anew from what was known before a change, if old data are forgotten.
@@ -394,51 +322,18 @@ class OnlineIdentification:
         if np.isinf(self._pace.memory):
             return
         if self._calibration is not None:
-            self._relax_priors()
+            self._problem = self._changed.relaxed(self._problem, self._monitor.change)
             return
         if (settled := self._monitor.settled) is None:
             return
-        change, before = settled
         problem = self._problem_with(self._accumulator.blocks)
         if self._parameters.candidates and problem.observations:
-            # What follows is too short to tell of what size joint terms may be.
-            problem = self._with_candidate_prior(problem)
-        terms = replace(problem.prior, assumed=())
-        named = " or ".join(one.link for one in change.links)
-        self._problem = replace(
-            self._problem,
-            prior=prior_after_change(before, terms, self._parameters, change.links),
-            # The posterior before the change contains them, and the sizes of its deviations.
-            pseudo_measurements=None,
-            is_empirical=False,
-            remarks=(
-                *self._initial_state.problem.remarks,
-                f"{named} changed at {change.since * 1e-9:.1f} s; what was known before is the "
-                "prior of later data",
-            ),
-        )
-        if not self._reference:
-            for prior in (terms, before.prior):
-                numbers = zip(prior.names, prior.mean.tolist(), prior.std.tolist(), strict=True)
-                self._reference |= {name: (mean, std) for name, mean, std in numbers}
+            problem = self._terms.with_prior(problem, self._accumulator.blocks.count)
+        self._problem = self._changed.restarted(self._problem, settled, problem.prior)
         until = self._until
         self._discard_data(self._accumulator.window)
         self._until = until  # later messages are stamped by the same clock
         self._monitor.follow()
-
-    def _relax_priors(self) -> None:
-        """Relax the prior of links and sensor errors that may have changed."""
-        change = self._monitor.change
-        for suspect in () if change is None else change.suspects:
-            if suspect.subject in self._relaxed:
-                continue
-            self._relaxed.add(suspect.subject)
-            prior = self._problem.prior
-            if isinstance(suspect, LinkChange):
-                prior = relaxed_prior(prior, self._parameters, suspect)
-            else:
-                prior = relaxed_sensor_prior(prior, suspect.sensor)
-            self._problem = replace(self._problem, prior=prior)
 
     def _problem_with(self, blocks: BlockAccumulator) -> Problem:
         observations = tuple(
@@ -498,7 +393,7 @@ class OnlineIdentification:
             rows = RowSettings("weak", window=window)
             found = replace(found, estimate=replace(found.estimate, rows=rows))
         return OnlineEstimate(
-            self._compared_with_the_start(found),
+            self._changed.compared_with_the_first(found),
             solver.problem.parameters,
             self._until,
             window,
@@ -507,21 +402,12 @@ class OnlineIdentification:
             None if change is not None else self._monitor.followed,
         )
 
-    def _compared_with_the_start(self, found: Identification) -> Identification:
-        """Return an estimate that states its first prior, if a change has given it a later one."""
-        estimate = found.estimate
-        if not self._reference or estimate.std is None:
-            return found
-        first = np.array([self._reference[name] for name in estimate.names])
-        determined = np.asarray(estimate.std < DETERMINED * first[:, 1])
-        return replace(found, estimate=replace(estimate, prior=first[:, 0], determined=determined))
-
     def reset(self) -> None:
         """Discard everything except the prior and the tares."""
         initial = self._initial_state
-        self._posterior = self._choice = self._calibration = None
-        self._relaxed.clear()
-        self._reference.clear()
+        self._posterior = self._calibration = None
+        self._terms.clear()
+        self._changed.clear()
         self._problem = replace(initial.problem, inputs=self._inputs)
         self._windows = tuple(one.window for one in initial.observations)
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)

@@ -9,7 +9,8 @@ import numpy as np
 from symbid_ros.estimation.change import LinkChange
 from symbid_ros.learning.candidate import RobotUncertainty, robot_uncertainty
 from symbid_ros.messages.topics import Topic
-from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification
+from symbid_ros.online.estimate import OnlineEstimate
+from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.online.live_streams import LiveStreams, TopicBuffer
 from symbid_ros.ros.estimate_topics import estimate_status
 from symbid_ros.ros.reporting import ERROR, OK, WARN, NodeStatus

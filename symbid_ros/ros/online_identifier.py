@@ -23,7 +23,8 @@ from symbid_ros.identification.result_files import check_output, export_urdf, wr
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
+from symbid_ros.online.estimate import OnlineEstimate
+from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.online.tare import TareRecording
 from symbid_ros.ros.estimate_topics import EstimateTopics
