@@ -2,7 +2,7 @@
 
 import logging
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -15,7 +15,7 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.identification.folding_pool import FoldingPool, available_cores
+from symbid_ros.identification.folding_pool import FoldingPool, available_cores, read_ahead
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.segment_store import SegmentStore
 from symbid_ros.model.parameters import ParameterSet
@@ -65,6 +65,10 @@ class AlignedLog:
     checks : StreamChecks, optional
         Receives every slice when it is first read. It reports faults of the streams; reading then
         logs only what is left out.
+    watch : callable, optional
+        Receives every segment when it is first read.
+    jobs : int
+        With more than one, the next segment is read by a thread while one is used.
 
     Raises
     ------
@@ -80,10 +84,12 @@ class AlignedLog:
         span: int = SPAN,
         most_kept: int = MOST_KEPT,
         checks: StreamChecks | None = None,
+        watch: Callable[[Segment], None] | None = None,
+        jobs: int = 1,
     ) -> None:
         self._log, self._model = log, model
         self._span, self._most_kept = span, most_kept
-        self._checks = checks
+        self._checks, self._watch, self._jobs = checks, watch, jobs
         self._kept: SegmentStore | None = None
         self._has_been_read = False
 
@@ -92,7 +98,10 @@ class AlignedLog:
             yield from self._kept
             return
         kept: SegmentStore | None = SegmentStore(self._most_kept)
-        for segment in self._read(warn=not self._has_been_read):
+        segments = self._read(warn=not self._has_been_read)
+        for segment in read_ahead(segments) if self._jobs > 1 else segments:
+            if self._watch is not None and not self._has_been_read:
+                self._watch(segment)
             try:
                 if kept is not None:
                     kept.add(segment)
@@ -325,8 +334,11 @@ def read_dataset(
     parameters: ParameterSet,
     processing: Processing | None = None,
     checks: StreamChecks | None = None,
+    watch: Callable[[Segment], None] | None = None,
 ) -> Dataset:
-    """Read a log slice by slice and fold its rows; ``checks`` receives every slice.
+    """Read a log slice by slice and fold its rows.
+
+    ``checks`` receives every slice, and ``watch`` every segment.
 
     Raises
     ------
@@ -334,7 +346,8 @@ def read_dataset(
         When a bag, its data or the model is invalid.
     """
     processing = processing or Processing()
-    aligned = AlignedLog(log, parameters.model, checks=checks)
+    jobs = processing.jobs
+    aligned = AlignedLog(log, parameters.model, checks=checks, watch=watch, jobs=jobs)
     segments = aligned if processing.smoothing is None else aligned.contiguous_segments()
     return fold_dataset(segments, log.source, parameters, processing)
 

@@ -3,16 +3,19 @@
 import ctypes
 import os
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextvars import copy_context
 from functools import cache, partial
+from itertools import islice
 from types import TracebackType
-from typing import ParamSpec, Self
+from typing import ParamSpec, Self, TypeVar
 
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.signals.weak_form import WindowedRows
 
 P = ParamSpec("P")
+T = TypeVar("T")
 Rows = tuple[WindowedRows, ...]
 
 # Rows that are folded at once, at least: each fold copies the factors, and few rows take LAPACK
@@ -26,6 +29,20 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def read_ahead(items: Iterator[T]) -> Iterator[T]:
+    """Yield the items of an iterator, of which a thread reads the next one meanwhile."""
+    context = copy_context()  # in which progress is reported
+
+    def following() -> list[T]:
+        return context.run(lambda: list(islice(items, 1)))
+
+    with ThreadPoolExecutor(1, "reading") as pool:
+        ahead = pool.submit(following)
+        while found := ahead.result():
+            ahead = pool.submit(following)
+            yield from found
 
 
 class FoldingPool:

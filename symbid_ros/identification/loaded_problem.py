@@ -40,7 +40,7 @@ from symbid_ros.identification.drive_gains import (
     named_joints,
 )
 from symbid_ros.identification.joint_terms import choose_terms
-from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks, check_dataset
+from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks, ModelWatch, check_dataset
 from symbid_ros.identification.log_reading import (
     open_logs,
     read_log,
@@ -227,14 +227,16 @@ def load_problem(
     for _, text in options.loaded_logs:
         Payload.parse(text, robot)
     digests = _digests(robot, options, log)
+    watch = None
     if read is None:
-        dataset, streams = read_log(log, options, parameters)
+        watch = _watch(options, parameters, prior)
+        dataset, streams = read_log(log, options, parameters, watch)
     else:
         (dataset, checks), streams = read(options, parameters, prior), None
     if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
         return load_problem(robot, log, with_reversed(options, wrong, log.source), out, read)
     if read is None:
-        checks = _check(dataset, streams, options, parameters, prior)
+        checks = _check(dataset, streams, options, parameters, prior, watch=watch)
     require_rows(dataset, parameters.model)
     if options.unchecked:  # otherwise the checks have said so
         report_unnamed_sensors(parameters.model, dataset)
@@ -398,12 +400,25 @@ def _initial_factors(
     return initial_factors(dataset.segments, parameters, prior.mean, joints)
 
 
+def _watch(options: IdentifyOptions, parameters: ParameterSet, prior: Prior) -> ModelWatch | None:
+    """Return what checks a log against the model while it is read, if that saves time."""
+    robot = _expected_robot(parameters, prior)
+    is_needed = not options.unchecked and not options.drive_gains and robot.contacts is None
+    return ModelWatch(robot) if is_needed and Processing.of(options).jobs > 1 else None
+
+
+def _expected_robot(parameters: ParameterSet, prior: Prior) -> RobotModel:
+    return with_payloads(parameters.apply(prior.mean), parameters.payloads)
+
+
 def _check(
     dataset: Dataset,
     streams: StreamChecks | None,
     options: IdentifyOptions,
     parameters: ParameterSet,
     prior: Prior,
+    *,
+    watch: ModelWatch | None = None,
 ) -> LogChecks:
     """Check a log as `symbid bag doctor` does; nothing happens without checks of its streams."""
     if streams is None:
@@ -411,5 +426,5 @@ def _check(
     factors = _initial_factors(options, dataset, parameters, prior)
     if factors is not None:
         dataset = replace(dataset, segments=ConvertedSegments(dataset.segments, factors.values))
-    robot = with_payloads(parameters.apply(prior.mean), parameters.payloads)
-    return check_dataset(dataset, streams, robot, estimated=options.sensor_error_kinds)
+    robot, kinds = _expected_robot(parameters, prior), options.sensor_error_kinds
+    return check_dataset(dataset, streams, robot, estimated=kinds, watch=watch)

@@ -1,7 +1,8 @@
 """Checks of a log before its identification: refusals, warnings, alarms and starting points."""
 
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +17,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.identification.calibration import Mounting
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.segments import Segment
 
 logger = logging.getLogger(__name__)
 
@@ -65,12 +67,59 @@ class LogChecks:
 NO_CHECKS = LogChecks()
 
 
+class ModelWatch:
+    """Collects what a log says about the model, in a thread while the log is read.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        With the prior's inertias.
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        self._robot = robot
+        self._statistics: ModelStatistics | None = None
+        self._pool = ThreadPoolExecutor(1, "checks")
+        self._added: Future[None] | None = None
+
+    def __call__(self, segment: Segment) -> None:
+        """Add a segment, once the one before has been added."""
+        if self._added is None or self._added.exception() is None:
+            self._added = self._pool.submit(self._add, segment)
+
+    def statistics(self) -> ModelStatistics | None:
+        """Return the statistics of all segments; errors that occurred are raised here."""
+        if self._added is not None:
+            self._added.result()
+        self._pool.shutdown()
+        return self._statistics
+
+    def _add(self, segment: Segment) -> None:
+        if self._statistics is None:
+            self._statistics = _no_statistics(self._robot, segment)
+        self._statistics.add(segment)
+
+
+def _no_statistics(robot: RobotModel, segment: Segment) -> ModelStatistics:
+    return ModelStatistics(robot, segment.wrench_frames, segment.imu_frames)
+
+
+def _statistics_of(segments: Iterable[Segment], robot: RobotModel) -> ModelStatistics | None:
+    statistics: ModelStatistics | None = None
+    for segment in segments:
+        if statistics is None:
+            statistics = _no_statistics(robot, segment)
+        statistics.add(segment)
+    return statistics
+
+
 def check_dataset(
     dataset: Dataset,
     checks: StreamChecks,
     robot: RobotModel,
     *,
     estimated: Collection[SensorErrorKind],
+    watch: ModelWatch | None = None,
 ) -> LogChecks:
     """Check a log by itself and against the model, and log a warning for each finding.
 
@@ -84,6 +133,8 @@ def check_dataset(
     estimated : collection of str
         Sensor errors that are estimated with the robot; they are not findings then: mountings
         of IMUs, and delays.
+    watch : ModelWatch, optional
+        Of the same robot and log, if it has seen the segments already.
 
     Raises
     ------
@@ -94,13 +145,11 @@ def check_dataset(
     source = dataset.source
     of_streams = checks.findings(source)
     _refuse_unusable(source, of_streams)
-    # Without the wrenches of contacts there is no force to compare with.
-    segments = dataset.segments if robot.contacts is None else ()
-    statistics: ModelStatistics | None = None
-    for segment in segments:
-        if statistics is None:
-            statistics = ModelStatistics(robot, segment.wrench_frames, segment.imu_frames)
-        statistics.add(segment)
+    statistics = None
+    if robot.contacts is None:  # else there is no force to compare with
+        statistics = (
+            _statistics_of(dataset.segments, robot) if watch is None else watch.statistics()
+        )
     found: list[Finding] = []
     if statistics is not None:
         found = check_model(

@@ -1,7 +1,7 @@
 """Reading of all logs that the options name, and checks that do not depend on a method."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,16 +23,23 @@ from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import reversed_sensor
 from symbid_ros.signals.log import Log
+from symbid_ros.signals.segments import Segment
 
 logger = logging.getLogger(__name__)
 
 
 def read_log(
-    log: Log, options: IdentifyOptions, parameters: ParameterSet
+    log: Log,
+    options: IdentifyOptions,
+    parameters: ParameterSet,
+    watch: Callable[[Segment], None] | None = None,
 ) -> tuple[Dataset, StreamChecks | None]:
-    """Read a log; the checks of its streams are None if the options skip them."""
+    """Read a log; the checks of its streams are None if the options skip them.
+
+    ``watch`` receives every segment.
+    """
     checks = None if options.unchecked else StreamChecks(parameters.model)
-    return read_dataset(log, parameters, Processing.of(options), checks), checks
+    return read_dataset(log, parameters, Processing.of(options), checks, watch), checks
 
 
 def open_logs(sources: tuple[Source, ...], log: Log) -> list[Log]:

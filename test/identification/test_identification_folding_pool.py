@@ -7,11 +7,15 @@ import pytest
 from analytic_log import analytic_segment, noisy
 from random_robots import random_robot
 
+from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.identification.dataset import observe
-from symbid_ros.identification.folding_pool import available_cores
+from symbid_ros.identification.folding_pool import available_cores, read_ahead
+from symbid_ros.identification.loaded_problem import load_problem
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.log import Log
 from symbid_ros.signals.weak_form import WINDOWS, equation_rows
 
 PARAMETERS = ParameterSet(random_robot(1, links=3), ("viscous", "coulomb"))
@@ -64,6 +68,31 @@ def test_an_interrupted_reading_ends_all_threads(segment):
     with pytest.raises(KeyboardInterrupt):
         observe(interrupted(), equation_rows(PARAMETERS), LAYOUT, WINDOWS, jobs=3)
     assert threading.active_count() == before
+
+
+def test_a_log_that_is_checked_while_it_is_read_says_the_same():
+    arm = random_robot(3, links=4, floating=False, wrench_frames=0)
+    exact = analytic_segment(ParameterSet(arm), 130.0, 3, rate=50.0)  # three slices
+    late = np.roll(exact.effort, 2, axis=0)
+    log = Log.from_arrays(arm, time=exact.stamp, position=exact.position, effort=late)
+    before = threading.active_count()
+    one, several = (load_problem(arm, log, IdentifyOptions(jobs=jobs)) for jobs in (1, 3))
+    assert [one.kind for one in one.checks.findings] == [Kind.DELAY]
+    assert several.checks == one.checks
+    for expected, found in zip(one.dataset.observations, several.dataset.observations, strict=True):
+        np.testing.assert_array_equal(found.rows.factor, expected.rows.factor)
+    assert threading.active_count() == before
+
+
+def test_an_error_of_reading_ahead_comes_after_what_was_read():
+    def failing():
+        yield 1
+        raise DataError("no wrench", "E520")
+
+    items = read_ahead(failing())
+    assert next(items) == 1
+    with pytest.raises(DataError, match="no wrench"):
+        next(items)
 
 
 def test_at_least_one_core_is_available():
