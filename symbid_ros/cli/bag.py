@@ -89,15 +89,12 @@ def doctor(
 
     Exit status: 0 clean, 1 warnings, 2 unusable.
     """
-    from symbid_ros.diagnosis.doctor import diagnose
-    from symbid_ros.identification.contacts import with_contact_options
+    from symbid_ros.identification.api import diagnose
     from symbid_ros.offline.bags import load_bag, load_robot
 
-    loaded = None
-    if model is not None:
-        loaded = with_contact_options(load_robot(model, base, bags), contacts)
+    loaded = None if model is None else load_robot(model, base, bags)
     with progress_shown():
-        found = diagnose(load_bag(bags, loaded, log), loaded)
+        found = diagnose(loaded, load_bag(bags, loaded, log), contacts)
     print_verdict(found, as_json=as_json)
     if found.severity:
         raise typer.Exit(int(found.severity))

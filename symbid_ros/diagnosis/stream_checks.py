@@ -64,9 +64,11 @@ class StreamChecks:
             self._silent.append(FaultSpan(Kind.SILENT, "", piece.start, piece.stop))
             return
         streams, during = piece.streams, (piece.start, piece.stop)
+        differentiated = {pose.topic for pose in streams.poses}  # no sensor has these gains
         for imu in streams.imus:
             self._quaternion_checks.setdefault(imu.topic, QuaternionCheck(imu.topic)).add(piece)
-            self._imu_checks.setdefault(imu.topic, ImuCheck(imu.topic)).add(imu)
+            if imu.topic not in differentiated:
+                self._imu_checks.setdefault(imu.topic, ImuCheck(imu.topic)).add(imu)
         if self._joint_check is None:
             self._joint_check = JointCheck(streams.joints.topic, streams.joints.names)
         self._joint_check.add(streams.joints, during)

@@ -1,6 +1,7 @@
 """Functions of the Python API: identify, diagnose, compute regressors, merge."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import reduce
 from typing import Any, TypeVar
 
@@ -14,6 +15,7 @@ from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError, OptionError
+from symbid_ros.identification.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.contact_options import ContactOptions
 from symbid_ros.identification.contacts import with_contact_options
 from symbid_ros.identification.holdout import identify_with_holdout
@@ -60,6 +62,7 @@ def identify(
     else:
         problem = load_problem(robot, log, options)
         problem, found = identify_with_holdout(problem)
+        options = replace(options, contact=problem.options.contact)
     return Result(found.estimate, options, found, problem.parameters)
 
 
@@ -79,7 +82,10 @@ def diagnose(
         These options by name instead, such as ``wrist_sensor=("tool0",)``.
     """
     options = options or _options(ContactOptions, fields)
-    return doctor.diagnose(log, robot and with_contact_options(robot, options))
+    if robot is not None:
+        robot = log.applied_to(robot)
+        robot = with_contact_options(robot, with_assumed_contacts(options, robot, log))
+    return doctor.diagnose(log, robot)
 
 
 def merge(records: Sequence[LogInformation]) -> LogInformation:

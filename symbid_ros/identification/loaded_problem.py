@@ -17,6 +17,7 @@ from symbid_ros.estimation.prior import (
 )
 from symbid_ros.estimation.provenance import InputDigests, Provenance
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
+from symbid_ros.identification.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.calibration import (
     SensorErrorRequest,
     Tare,
@@ -214,6 +215,8 @@ def load_problem(
     """
     options = options or IdentifyOptions()
     robot = log.applied_to(robot)
+    if read is None and not options.tare:
+        options = with_assumed_contacts(options, robot, log)
     parameters = load_parameters(robot, options)
     prior = choose_prior(options, parameters)
     parameters = with_load_reference(parameters, prior, options)

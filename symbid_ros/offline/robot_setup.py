@@ -18,6 +18,7 @@ from symbid_ros.diagnosis.forces import GAINS
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
+from symbid_ros.identification.assumed_contacts import assumed_contacts
 from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
 from symbid_ros.messages.types import IMU, JOINT_STATE, POSE, WRENCH
@@ -35,7 +36,6 @@ SPAN = 4 * 10**9  # ns of a log that show its names
 # A gain is corrected if it is known to this share.
 KNOWN = 0.25
 ANGLES = "roll", "pitch", "yaw"
-CONTACT_KINDS = "", ":point"  # with and without a moment
 ROUNDS = 3  # of corrections, since one wrong sign can hide another
 
 
@@ -74,8 +74,8 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
         inspector.match_sensors(IMU, "imu_topic")
     inspector.match_sensors(WRENCH, "wrench_topic")
     if robot.floating:
-        inspector.find_contacts()
         inspector.find_poses()
+        inspector.find_contacts()
     else:
         inspector.find_drives()
     inspector.find_wrist_sensors()
@@ -201,26 +201,26 @@ class _Inspector:
                 self.setup.add("rename_frame", f"{frame}:={name}")
 
     def find_contacts(self) -> None:
-        """Name the contacts without wrench sensors about which flags tell."""
+        """Name the contacts of a robot without wrench sensors."""
         flags = contact_flags(self.topics, self.robot)
-        if not flags:
-            return
         if self.setup.options.get("wrench_topic"):
-            self.setup.note("contact_flag", f"Not needed beside wrenches: {', '.join(flags)}.")
+            if flags:
+                self.setup.note("contact_flag", f"Not needed beside wrenches: {', '.join(flags)}.")
             return
-        for kind in CONTACT_KINDS if len(flags) == 2 else CONTACT_KINDS[1:]:
-            contacts = [f"{frame}{kind}" for frame in flags.values()]
-            try:
-                with_contacts(self.robot, contacts)
-            except ModelError:
-                continue  # wrenches of this kind would explain any motion
-            self.setup.options["contact"] = contacts
+        for topic, frame in flags.items():
+            self.setup.add(
+                "contact_flag", f"{topic}:={frame}", "CHECK: true must mean that it touches."
+            )
+        log = bag_log(self.bags, self.robot, TopicSelection.of(self.setup.log_options))
+        try:
+            contacts = assumed_contacts(self.robot, log)
+        except SymbidError:
+            contacts = ()  # the diagnosis states why the log cannot be read
+        if contacts:
+            self.setup.options["contact"] = list(contacts)
             self.setup.note("contact", "CHECK: feet without a moment end in :point.")
-            for topic, frame in flags.items():
-                self.setup.add(
-                    "contact_flag", f"{topic}:={frame}", "CHECK: true must mean that it touches."
-                )
-            return
+        else:
+            self.setup.options.pop("contact_flag", None)
 
     def find_poses(self) -> None:
         """Name the topic of the base's pose if there is no IMU."""

@@ -1,5 +1,7 @@
 """A quadruped without force sensors in its feet, and robots whose drives measure nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from live_feed import feed_of
@@ -8,7 +10,8 @@ from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.api import identify
+from symbid_ros.identification.api import diagnose, identify
+from symbid_ros.identification.assumed_contacts import assumed_contacts
 from symbid_ros.identification.dataset import AlignedLog, joined_segments
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
@@ -20,6 +23,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import load_bag
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
+from symbid_ros.package_paths import config_file
 from symbid_ros.signals.log import Log
 
 POINTS = tuple(f"{foot}:point" for foot in FEET)
@@ -73,6 +77,35 @@ def test_efforts_alone_weigh_a_robot_on_its_feet(robot, true_robot, readings, tm
     # Dependent rows are judged too: what each joint's effort has that no contact can balance.
     assert [one.name for one in again.coordinates] == list(robot.coordinates)
     assert again.torque.percent_after < 0.2 * again.torque.percent_before
+
+
+def test_a_robot_without_wrench_sensors_is_assumed_to_stand_on_its_legs(
+    robot, readings, caplog, simulated
+):
+    log = log_of(robot, readings)
+    assert assumed_contacts(robot, log) == POINTS
+    problem = load_problem(robot, log, IdentifyOptions(window=0.321, joint_terms=("none",)))
+    assert problem.options.contacts == problem.solve().estimate.contacts == POINTS
+    assert f"give `contact` {','.join(POINTS)}" in caplog.text
+    checked = diagnose(robot, log)
+    assert not checked.severity
+    assert "LF_foot, RF_foot, LH_foot, RH_foot are unknown" in " ".join(checked.left_out)
+    # Nothing is assumed of wrenches that are measured, and of efforts that are not.
+    assert assumed_contacts(robot, log_of(robot, readings, feet=FEET[:1])) == ()
+    silent = np.full_like(readings["/joint_states"]["effort"], np.nan)
+    assert assumed_contacts(robot, log_of(robot, readings, effort=silent)) == ()
+    # Flags name contacts, and a biped stands on surfaces.
+    touches = {foot: np.ones(len(silent), bool) for foot in FEET[:0:-1]}
+    assert assumed_contacts(robot, log_of(robot, readings, touches=touches)) == POINTS[:0:-1]
+    biped = load_model(config_file("symbitron.xml"))
+    log = load_bag(simulated("smooth", moves=1, motion_seed=21, noise_seed=5), biped)
+
+    def without_wrenches(span, warn):
+        for piece in log.slices(span, warn=warn):
+            yield replace(piece, streams=replace(piece.streams, wrenches=()))
+
+    alone = Log("biped", _read=without_wrenches)
+    assert set(assumed_contacts(biped, alone)) == {"left_sole", "right_sole"}
 
 
 def test_live_messages_give_the_same(robot, true_robot, readings, tmp_path):

@@ -1,0 +1,151 @@
+"""Where a robot without wrench sensors seems to stand, if no option says so."""
+
+import logging
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import chain, islice
+from typing import TypeVar
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.dynamics.kinematics import LinkPoses, link_poses
+from symbid_ros.dynamics.unmeasured_contacts import with_contacts
+from symbid_ros.errors import DataError, ModelError
+from symbid_ros.identification.contact_options import ContactOptions
+from symbid_ros.model.tree import Frame, RobotModel
+from symbid_ros.signals.alignment import align_checked, warn_once
+from symbid_ros.signals.log import Log
+from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_samples import probed
+from symbid_ros.signals.streams import Streams
+
+Options = TypeVar("Options", bound=ContactOptions)
+
+# Words of the frame of an end that touches the ground; other frames there are those of sensors.
+FOOT_WORDS = re.compile(r"foot|feet|sole|toe|contact|paw|hoof|tip", re.IGNORECASE)
+# Ends of legs are this low, as a share of the robot's height above the lowest one, at this share
+# of the instants at least.
+LOW, OFTEN = 0.1, 0.1
+# Ends of which a surface touches the ground are few: more have too many unknown wrenches.
+FEW = 2
+FEWEST = 2  # ends on which a robot stands: a lone one may belong to a drone's arm
+# ns of the log that tell whether there are wrench sensors, and that tell the robot's postures.
+SHORT, LONG = 1_000_000_000, 60_000_000_000
+FIRST = 5  # slices, of which one has messages of all topics
+
+logger = logging.getLogger(__name__)
+
+
+def with_assumed_contacts(options: Options, robot: RobotModel, log: Log) -> Options:
+    """Return options that name contacts if neither they nor a log's sensors do; log a warning.
+
+    Parameters
+    ----------
+    options : ContactOptions
+    robot : RobotModel
+    log : Log
+        Of which the first second is read, or the first minute if there is no wrench sensor.
+    """
+    if options.contacts or options.wrist_sensors or not (found := assumed_contacts(robot, log)):
+        return options
+    logger.warning(
+        "%s: no wrench sensor, so what acts on %s is taken as unknown; give `contact` %s if that "
+        "is right, or name the frames that touch something",
+        log.source,
+        ", ".join(name.partition(":")[0] for name in found),
+        ",".join(found),
+    )
+    return replace(options, contact=found)
+
+
+def assumed_contacts(robot: RobotModel, log: Log) -> tuple[str, ...]:
+    """Return where a floating robot without wrench sensors seems to stand, as `contact` names it.
+
+    These are the contacts about which flags tell, otherwise the ends of the legs: of all ends of
+    kinematic chains those that are the lowest, not necessarily at once. A contact that touches
+    nothing costs rows, but does not bias them.
+
+    Returns
+    -------
+    tuple of str
+        Empty if there are wrench sensors, no efforts, or too many contacts.
+    """
+    if not robot.floating:
+        return ()
+    with warn_once(muted=True):
+        frames = _standing_frames(robot, log)
+    for kind in ("", ":point") if len(frames) <= FEW else (":point",):
+        contacts = tuple(f"{frame}{kind}" for frame in frames)
+        try:
+            with_contacts(robot, contacts)
+        except ModelError:
+            continue  # unknown wrenches of this kind would explain any motion
+        return contacts
+    return ()
+
+
+def _standing_frames(robot: RobotModel, log: Log) -> tuple[str, ...]:
+    streams = _first_streams(log, SHORT)
+    if streams is None or streams.wrenches or not np.isfinite(streams.joints.effort).any():
+        return ()
+    if streams.flags:
+        return tuple(one.frame_id for one in streams.flags)
+    try:
+        return _lowest_ends(robot, align_checked(_first_streams(log, LONG) or streams, robot))
+    except DataError:  # which the identification reports
+        return ()
+
+
+def _first_streams(log: Log, span: int) -> Streams | None:
+    pieces = islice(log.slices(span, warn=False), FIRST)
+    return next((one.streams for one in pieces if one.streams is not None), None)
+
+
+def _lowest_ends(robot: RobotModel, segments: Sequence[Segment]) -> tuple[str, ...]:
+    """Return the ends of chains that are often about as low as the lowest one."""
+    ends = _ends(robot)
+    if len(ends) < FEWEST:
+        return ()
+    often = np.zeros(len(ends))
+    count = 0
+    for samples in (probed(segment, robot) for segment in segments):
+        poses = link_poses(robot, samples.position)
+        force = samples.base_specific_force
+        up = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
+        height = np.einsum("tei,ti->te", _positions(ends, poses), up)
+        top = np.einsum("tli,ti->tl", poses.position, up).max(axis=1)
+        lowest = height.min(axis=1)
+        often += np.sum(height - lowest[:, None] < LOW * (top - lowest)[:, None], axis=0)
+        count += len(samples)
+    is_low = often > OFTEN * count
+    low = tuple(end.name for end, touches in zip(ends, is_low.tolist(), strict=True) if touches)
+    return low if len(low) >= FEWEST else ()
+
+
+def _ends(robot: RobotModel) -> list[Frame]:
+    """Return a frame at the end of each chain of joints: the farthest that is named like a foot."""
+    carrying = {joint.parent for joint in robot.joints}
+    ends = []
+    for link in sorted(set(range(1, len(robot.link_names))) - carrying):
+        frames = [frame for frame in robot.frames if frame.link == link]
+        feet = [frame for frame in frames if FOOT_WORDS.search(frame.name)]
+        own = robot.frame(robot.link_names[link])
+        ends.append(max(chain(feet or frames, [own]), key=_reach))
+    return ends
+
+
+def _reach(frame: Frame) -> float:
+    return float(np.linalg.norm(frame.translation))
+
+
+def _positions(ends: list[Frame], poses: LinkPoses) -> FloatArray:
+    """Return the positions (N, E, 3) of frames in base axes."""
+    return np.stack(
+        [
+            poses.position[:, end.link] + poses.rotation[:, end.link] @ end.translation
+            for end in ends
+        ],
+        axis=1,
+    )
