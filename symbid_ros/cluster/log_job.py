@@ -25,6 +25,7 @@ from symbid_ros.cluster.log_tasks import (
     describe_columns,
     describe_log,
     digest_bag,
+    find_contacts,
     fixed_frames,
     fold_part,
     merge_parts,
@@ -36,6 +37,7 @@ from symbid_ros.errors import DataError, OptionError
 from symbid_ros.estimation.archive import unpack_observations
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.provenance import InputFile
+from symbid_ros.identification.assumed_contacts import naming_contacts
 from symbid_ros.identification.dataset import SPAN, Dataset, DistributedSegments, Processing
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
 from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks
@@ -43,7 +45,7 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.load import load_model, model_files
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.bags import BagRequest
+from symbid_ros.offline.bags import BagRequest, with_likely_base
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
 
@@ -233,9 +235,9 @@ class ClusterRequest:
         request = self.request
         _require_supported(request)
         robot = load_model(request.model, request.base)
-        options = json.dumps(asdict(request.log))
+        of_log = json.dumps(asdict(request.log))
         described = cluster.results(
-            [cluster.submit(describe_bag, one, options) for one in self.bags], "opening the bags"
+            [cluster.submit(describe_bag, one, of_log) for one in self.bags], "opening the bags"
         )
         kept = [
             (bag, one)
@@ -247,6 +249,8 @@ class ClusterRequest:
         bags = [bag for bag, _ in kept]
         spans = [(one["first"], one["first"] + one["length"]) for _, one in kept]
         _require_order(bags, spans)
+        types = {name for _, one in kept for name in one["types"]}
+        robot = with_likely_base(robot, request.model, request.base, lambda: types)
         frames = [frame for _, one in kept for frame in one["frames"]]
         parts = divided(spans)
         if request.log.contact_flag:  # the last flag may be from long before
@@ -267,7 +271,12 @@ class ClusterRequest:
             _open=lambda _: _not_here(None, False),  # type: ignore[arg-type,return-value]
             _frames=lambda: fixed_frames(frames),
         )
-        return load_problem(robot, log, request.options, out, read)
+        contacts = request.options
+        if robot.floating and not contacts.contacts and not contacts.wrist_sensors:
+            text = describe_log(bags, robot, files, frames, contacts=contacts, options=request.log)
+            (found,) = cluster.results([cluster.submit(find_contacts, text)], "finding contacts")
+            contacts = naming_contacts(contacts, tuple(found), ", ".join(bags))
+        return load_problem(robot, log, contacts, out, read)
 
     def attributed(self, cluster: Cluster, found: Identification) -> Identification:
         """Return an identification that names the bags, with checksums by the workers."""

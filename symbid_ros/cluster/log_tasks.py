@@ -19,12 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symbid_ros.bags import bag_info, bag_log
+from symbid_ros.bags import bag_info, bag_log, count_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.estimation.archive import pack_observations, unpack_observations
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.provenance import digest, list_inputs
+from symbid_ros.identification.assumed_contacts import assumed_contacts
 from symbid_ros.identification.contact_options import ContactOptions
 from symbid_ros.identification.contacts import with_contact_options
 from symbid_ros.identification.dataset import SPAN, AlignedLog, Processing, fold_dataset
@@ -82,7 +83,7 @@ def sees_file(path: str) -> bool:
 
 
 def describe_bag(location: str, options: str) -> dict[str, Any]:
-    """Return the first stamp of a bag, ns, its length, ns, and the fixed frames that it states.
+    """Return the first stamp and the length of a bag, ns, its topics' types and fixed frames.
 
     Parameters
     ----------
@@ -101,11 +102,21 @@ def describe_bag(location: str, options: str) -> dict[str, Any]:
     return {
         "first": min((int(one.min()) for one in stamps), default=None),
         "length": round(1e9 * info.duration),
+        "types": sorted({topic.msgtype for topic in count_messages([path])}),
         "frames": [
             [one.parent, one.child, one.rotation.tolist(), one.translation.tolist()]
             for one in log.fixed_frames()
         ],
     }
+
+
+def find_contacts(log: str) -> list[str]:
+    """Return where the robot of a log without wrench sensors seems to stand, in the first bag."""
+    opened = _OpenLog.of(log)
+    topics = TopicSelection.of(opened.options)
+    with _turn:
+        first = bag_log([local_bag(opened.bags[0])], opened.robot, topics)
+        return list(assumed_contacts(opened.robot, first))
 
 
 def digest_bag(location: str) -> list[tuple[str, str | None, int | None]]:

@@ -48,12 +48,19 @@ def with_assumed_contacts(options: Options, robot: RobotModel, log: Log) -> Opti
     log : Log
         Of which the first second is read, or the first minute if there is no wrench sensor.
     """
-    if options.contacts or options.wrist_sensors or not (found := assumed_contacts(robot, log)):
+    if options.contacts or options.wrist_sensors:
+        return options
+    return naming_contacts(options, assumed_contacts(robot, log), log.source)
+
+
+def naming_contacts(options: Options, found: tuple[str, ...], source: str) -> Options:
+    """Return options that name contacts of a log, and log a warning unless there is none."""
+    if not found:
         return options
     logger.warning(
         "%s: no wrench sensor, so what acts on %s is taken as unknown; give `contact` %s if that "
         "is right, or name the frames that touch something",
-        log.source,
+        source,
         ", ".join(name.partition(":")[0] for name in found),
         ",".join(found),
     )

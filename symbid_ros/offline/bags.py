@@ -1,7 +1,8 @@
 """Identification and evaluation of bags: logs, requests and ground truth."""
 
 import logging
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -62,10 +63,7 @@ def load_bag(
 
 
 def load_robot(model: Path, base: Base, bags: Sequence[Path]) -> RobotModel:
-    """Load the model of the robot in bags.
-
-    The base of an arm, all of whose joints lie beyond a single one, counts as fixed if ``base`` is
-    auto and the bags have neither an IMU nor a pose: most URDF files of arms do not say so.
+    """Load the model of the robot in bags; see :func:`with_likely_base`.
 
     Raises
     ------
@@ -73,10 +71,33 @@ def load_robot(model: Path, base: Base, bags: Sequence[Path]) -> RobotModel:
         When the model or a bag cannot be read.
     """
     robot = load_model(model, base)
+    return with_likely_base(
+        robot, model, base, lambda: {topic.msgtype for topic in count_messages(bags)}
+    )
+
+
+def with_likely_base(
+    robot: RobotModel, model: Path, base: Base, types: Callable[[], AbstractSet[str]]
+) -> RobotModel:
+    """Return a robot whose base counts as fixed if it is an arm whose base nothing measures.
+
+    All joints of an arm lie beyond a single one. Most URDF files of arms do not say that their base
+    is fixed.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        As read from the file ``model``.
+    model : Path
+    base : {"auto", "floating", "fixed"}
+        Only "auto" leaves the base open.
+    types : callable
+        Returns the types of the log's topics.
+    """
     on_base = [joint for joint in robot.joints if joint.parent == 0]
     if base != "auto" or not robot.floating or len(on_base) != 1 or is_mjcf(model):
         return robot
-    if {topic.msgtype for topic in count_messages(bags)} & {IMU, POSE, ODOMETRY}:
+    if types() & {IMU, POSE, ODOMETRY}:
         return robot
     logger.warning(
         "%s: its base counts as fixed, because all its joints lie beyond %s and the log has "

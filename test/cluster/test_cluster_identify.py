@@ -13,6 +13,7 @@ import pytest
 from arm_log import arm_streams
 from dask_cluster import local_cluster
 from documented_robots import ur5_urdf
+from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from random_logs import write_bag
 
 from symbid_ros.cluster import connection
@@ -130,6 +131,27 @@ def test_bags_at_urls_are_fetched(cluster, bags, request_of_all, tmp_path) -> No
         found = ClusterRequest((first,), request_of_all).load(dask, tmp_path / "out")
         expected = replace(request_of_all, bags=bags[:1]).load()
     assert_equal(found.dataset.observations, expected.dataset.observations)
+
+
+def test_bases_and_contacts_are_assumed_as_in_one_process(
+    cluster, request_of_all, tmp_path
+) -> None:
+    of_arm = replace(request_of_all, bags=request_of_all.bags[:1], base="auto")
+    model = tmp_path / "quadruped.urdf"
+    model.write_text(quadruped_urdf())
+    log = standing_log(load_model(model), 12.0, 3)
+    short = {topic: log[topic] for topic in ("/joint_states", "/imu")}
+    bag = record_log(short, load_model(model), tmp_path / "bag")
+    of_legs = BagRequest((bag,), model, replace(OPTIONS, joint_terms=("none",)))
+    with connected(cluster.address) as dask:
+        for request in (of_arm, of_legs):
+            here = request.load()
+            there = ClusterRequest(tuple(map(str, request.bags)), request)
+            found = there.load(dask, tmp_path / "out")
+            assert found.parameters.model.floating == (request is of_legs)
+            assert found.options.contacts == here.options.contacts
+            assert_equal(found.dataset.observations, here.dataset.observations)
+    assert here.options.contacts == tuple(f"{foot}:point" for foot in FEET)
 
 
 def test_errors_of_workers_are_those_of_one_process(cluster, bags, request_of_all) -> None:
