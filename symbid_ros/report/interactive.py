@@ -11,8 +11,10 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.report.content import ReportContent
 from symbid_ros.report.log_figures import (
     binned_medians,
+    broken,
     drawn_forces,
     force_range,
+    pauses,
     shown_error,
     shown_joints,
 )
@@ -30,17 +32,19 @@ def figure_data(content: ReportContent) -> dict[str, Any]:
             np.sqrt(power)
             for power in (forces.power_measured, forces.power_before, forces.power_after)
         ]
+        gaps = pauses(forces.time)
         data |= {
-            "time": packed(forces.time),
+            # uPlot needs increasing times.
+            "time": packed(np.insert(forces.time, gaps, forces.time[gaps] - 1e-3)),
             "frequency": packed(forces.frequency),
             "first": int(shown_joints(forces)[0]),
             "coordinates": [
                 {
                     "name": name,
                     "unit": forces.units[place],
-                    "measured": packed(forces.measured[:, place]),
-                    "before": packed(forces.before[:, place]),
-                    "after": packed(forces.after[:, place]),
+                    "measured": packed(broken(forces.measured[:, place], gaps)),
+                    "before": packed(broken(forces.before[:, place], gaps)),
+                    "after": packed(broken(forces.after[:, place], gaps)),
                     "limit": shown_error(forces, place),
                     "range": force_range(forces, place),
                     "spectra": [packed(one[:, place]) for one in amplitudes],

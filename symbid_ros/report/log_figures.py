@@ -22,6 +22,8 @@ STYLES = {
 }
 JOINTS_SHOWN = 6  # without script; with script every joint can be chosen
 POINTS = 500
+# Lines break where rows are missing for this time, s, and this many times their usual distance.
+PAUSE, USUAL = 0.25, 3.0
 FEWEST_POINTS = 4
 SPEED_BINS = 15
 FEWEST_IN_BIN = 8
@@ -253,16 +255,30 @@ def has_hidden_errors(forces: ForceSeries) -> bool:
     )
 
 
+def pauses(time: FloatArray) -> IntArray:
+    """Return the places (G,) in a series before which rows are missing."""
+    steps = np.diff(time)
+    if not len(steps):
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(steps > max(PAUSE, USUAL * float(np.median(steps)))) + 1
+
+
+def broken(values: FloatArray, places: IntArray) -> FloatArray:
+    """Return a series (N,) with NaN in each of G places, which breaks its line."""
+    return np.insert(values, places, np.nan)
+
+
 def _line(axes: Axes, time: FloatArray, values: FloatArray, label: str) -> None:
-    used = np.isfinite(values)
     style = STYLES[label]
-    if used.any():
-        axes.plot(
-            *downsample(time[used], values[used], POINTS),
-            color=style.colour,
-            linewidth=style.width,
-            label=label,
-        )
+    for part in np.split(np.arange(len(time)), pauses(time)):
+        used = part[np.isfinite(values[part])]
+        if len(used):
+            points = max(2, POINTS * len(part) // len(time))
+            axes.plot(
+                *downsample(time[used], values[used], points),
+                color=style.colour,
+                linewidth=style.width,
+            )
     axes.margins(x=0)
     axes.yaxis.set_major_locator(MaxNLocator(4))
 

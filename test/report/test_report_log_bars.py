@@ -1,5 +1,6 @@
 """Bars of time, position and speed are where the log has them."""
 
+import base64
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from report_pages import content_of_a_log
 
 from symbid_ros.identification.report_data import QUANTILES
 from symbid_ros.report.content import JointLimits
+from symbid_ros.report.interactive import figure_data
 from symbid_ros.report.log_bars import joint_ranges, timeline
 from symbid_ros.report.log_figures import (
     ORIGINAL,
@@ -16,6 +18,7 @@ from symbid_ros.report.log_figures import (
     error_limit,
     force_panels,
     force_range,
+    pauses,
     shown_error,
     shown_joints,
 )
@@ -94,3 +97,24 @@ def test_medians_show_the_step_of_coulomb_friction():
 def test_without_rows_there_is_no_median():
     middle, median = binned_medians(np.full(4, np.nan), np.zeros(4))
     assert len(middle) == len(median) == 0
+
+
+def test_lines_break_where_rows_are_missing(log):
+    forces = log.forces
+    time = np.append(forces.time[:40], forces.time[40:] + 2.0)
+    broken_log = replace(forces, time=time)
+    (place,) = pauses(time)
+    assert place == 40
+    content = content_of_a_log(4)
+    shown = replace(content.shown, log=replace(log, forces=broken_log))
+    data = figure_data(replace(content, methods=(shown,)))
+    times = np.frombuffer(base64.b64decode(data["time"]), "<f4")
+    measured = np.frombuffer(base64.b64decode(data["coordinates"][0]["measured"]), "<f4")
+    assert np.all(np.diff(times) > 0)
+    assert np.flatnonzero(np.isnan(measured)).tolist() == [40]
+    assert len(times) == len(measured) == len(time) + 1
+
+
+def test_a_series_without_pauses_is_one_line():
+    assert not len(pauses(np.arange(0, 4, 0.04)))
+    assert not len(pauses(np.array([1.0])))
