@@ -22,6 +22,9 @@ the package can be named by its file, or by folder/file.
 
 With `--kinematics` the joints of an arm's model file are displaced by up to 2 mm and turned by up
 to 0.3° about each axis, and their placements are estimated with the links. The bound knows them.
+
+With `--no-foot-sensors` the logs of legged robots have no wrenches, and no option says where they
+stand. Torques are judged with the true wrenches.
 """
 
 import argparse
@@ -65,6 +68,7 @@ LARGEST_SPEED = 1.5  # rad/s
 ENCODER, GYRO, ACCELEROMETER = 2e-5, 2e-3, 2e-2  # rad, rad/s, m/s²
 # Of efforts by the largest effort, and of the feet's forces by the weight.
 EFFORT, FORCE = 1e-3, 1e-3
+UNKNOWN = 1e3  # of forces that nothing measures, by the weight
 LARGEST = 5.0  # times the RMS effort; files state limits of 1000 Nm for small drives
 SLIPS = 0.05  # rad/s; Coulomb friction of slower joints is undefined
 LEVER = 0.1  # m; noise of a foot's moments over that of its forces
@@ -76,13 +80,14 @@ SWING = 0.5  # rad or m; of joints that are not in legs
 class Setup:
     """A log's length (s), rate (Hz) and effort noise as a share of the largest effort.
 
-    ``geometry`` are the errors of joint placements that the robot has.
+    ``geometry`` are the errors of joint placements that the robot has. Feet may have no sensors.
     """
 
     seconds: float = 60.0
     rate: float = RATE
     effort_noise: float = EFFORT
     geometry: tuple[str, ...] = ()
+    has_foot_sensors: bool = True
 
 
 @dataclass(frozen=True)
@@ -109,9 +114,11 @@ def main() -> None:
     options.add_argument("--rate", type=float, default=RATE, help="Hz")
     options.add_argument("--effort-noise", type=float, default=100 * EFFORT, help="%%")
     options.add_argument("--kinematics", action="store_true", help="wrong joint placements")
+    options.add_argument("--no-foot-sensors", action="store_true")
     given = options.parse_args()
     geometry = KINEMATIC_ERRORS if given.kinematics else ()
-    setup = Setup(given.seconds, given.rate, given.effort_noise / 100, geometry)
+    noise, feel = given.effort_noise / 100, not given.no_foot_sensors
+    setup = Setup(given.seconds, given.rate, noise, geometry, feel)
     logging.disable(logging.WARNING)
     columns = "robot", "friction", "prior %", "default %", "by hand %", "expected %", "bound %"
     columns = *columns, "ratio", "covered", "geometry", "alarms"
@@ -155,7 +162,7 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
     size = np.sqrt(np.mean(torque(plain(robot), motion) ** 2, axis=0))
     size = np.maximum(size, 0.05 * size.max())
     truth = with_friction(robot, friction.startswith("present"), size, rng)
-    log = record(truth, motion, size, rng, setup.effort_noise)
+    log = record(truth, motion, size, rng, setup)
     model = inaccurate(truth, friction.endswith("stated"), size, seed, rng)
     model = with_placements(model, stated)
     terms = "viscous,coulomb,armature" if friction.startswith("present") else "none"
@@ -166,6 +173,7 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
     other = move(robot, feet, rng, 20.0, setup.rate)
     true = torque(truth, other)
     noise = effort_deviation(truth, size, setup.effort_noise)
+    force = FORCE if setup.has_foot_sensors else UNKNOWN
     slips = np.abs(other.velocity) > SLIPS
     scale = np.sqrt(np.mean(true[slips] ** 2))
 
@@ -177,7 +185,7 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
         error(predicted(found, other)),
         error(predicted(by_hand, other)),
         float(np.sqrt(np.mean(variance(by_hand, other)[slips])) / scale),
-        float(np.sqrt(np.mean(least_variance(truth, motion, other, noise)[slips])) / scale),
+        float(np.sqrt(np.mean(least_variance(truth, motion, other, noise, force)[slips])) / scale),
         scores(found, truth),
         found.alarms,
         placement_square(found, theta),
@@ -351,11 +359,11 @@ def record(
     motion: Samples,
     size: FloatArray,
     rng: np.random.Generator,
-    effort_noise: float = EFFORT,
+    setup: Setup = Setup(),
 ) -> sy.Log:
     """Return the noisy log of a motion of the true robot."""
     efforts = torque(truth, motion)
-    noise = effort_deviation(truth, size, effort_noise)
+    noise = effort_deviation(truth, size, setup.effort_noise)
     imus, wrenches = {}, {}
     if truth.floating:
         read = np.hstack([motion.base_angular_velocity, motion.base_specific_force])
@@ -378,7 +386,7 @@ def record(
         position=position[:, measured],
         effort=efforts[:, measured],
         imus=imus,
-        wrenches=wrenches,
+        wrenches=wrenches if setup.has_foot_sensors else {},
     )
 
 
@@ -391,6 +399,8 @@ def effort_deviation(truth: sy.RobotModel, size: FloatArray, share: float) -> Fl
 def placed(found: sy.Result) -> ParameterSet:
     """Return the parameters of a robot with the joint placements found."""
     one, parameters = found._identification, found._parameters
+    # The motion's wrenches are known.
+    parameters = replace(parameters, model=replace(parameters.model, contacts=None))
     if not isinstance(one.rows, CalibratingRows):
         return parameters
     return one.rows.errors.placed(parameters, one.unknowns[len(parameters) :])
@@ -433,11 +443,12 @@ def readings(motion: Samples) -> SensorSamples:
 
 
 def least_variance(
-    truth: sy.RobotModel, motion: Samples, other: Samples, noise: FloatArray
+    truth: sy.RobotModel, motion: Samples, other: Samples, noise: FloatArray, force: float = FORCE
 ) -> FloatArray:
     """Return the least mean variances (N, J) of the torques of another motion.
 
-    The log's motion is known; efforts have the noise (J,), the feet's wrenches theirs.
+    The log's motion is known; efforts have the noise (J,), the feet's forces that share of the
+    weight.
     """
     links = ParameterSet(plain(truth))
     L = default_prior(links).covariance_factor()
@@ -462,7 +473,7 @@ def least_variance(
     if motion.wrench_frames:
         jacobian = contact_jacobian(truth, motion.wrench_frames, link_poses(truth, motion.position))
         held = carrying_components(motion.wrench_frames)
-        deviation = FORCE * 9.81 * truth.phi[:, 0].sum() * np.where(np.mod(held, 6) < 3, LEVER, 1.0)
+        deviation = force * 9.81 * truth.phi[:, 0].sum() * np.where(np.mod(held, 6) < 3, LEVER, 1.0)
         shares = jacobian[:, held] * deviation[:, None]
         covariance += shares.transpose(0, 2, 1) @ shares
     # Joints that follow others have no equation of their own.
