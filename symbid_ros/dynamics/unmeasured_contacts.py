@@ -4,12 +4,13 @@ Without wrench sensors the contact wrenches f_e are unknown at every instant. Th
 N(q) K φ = N(q) Sᵀ f_a with N(q) J_gᵀ(q) = 0 remain, which no contact wrench enters. They need the
 efforts of all joints that act on them.
 
-N = d(q) E P(q), where P projects onto the orthogonal complement of the range of J_gᵀ, and E selects
-as many coordinates as rows are left. Averages over windows need an N that is smooth in time, and P
-is not smooth where J_g loses rank. The factor d = det(J Jᵀ) / det(J Jᵀ + ε²) vanishes there, and
-det(J Jᵀ) P = det(J Jᵀ) - Jᵀ adj(J Jᵀ) J is a polynomial of J. E depends on the robot alone, so that
-logs can be merged. Units may be mixed: other units give other combinations of the same rows, and
-rows are weighted by the covariance of their residuals.
+N = d(q) (E P Eᵀ)^(-1/2) E P(q), where P projects onto the orthogonal complement of the range of
+J_gᵀ, and E selects as many coordinates as rows are left. The rows of N are orthonormal but for d.
+Errors of equal size in all coordinates, such as those of drives, then have equal sizes in all rows
+and postures, and a row that a posture makes small does not count for more. Averages over windows
+need an N that is smooth in time, and P is not smooth where J_g loses rank. The factor
+d = det(J Jᵀ) / det(J Jᵀ + ε²) vanishes there, and det(J Jᵀ) P = det(J Jᵀ) - Jᵀ adj(J Jᵀ) J is a
+polynomial of J. E depends on the robot alone, so that logs can be merged.
 
 If it is known which contacts touch something, the others are left out of J_g. More rows remain
 then: those of a leg that swings are used as they are.
@@ -185,14 +186,23 @@ def _postures(model: RobotModel) -> FloatArray:
     return model.apply_mimics(middle + share * half)
 
 
-def annihilator(jacobian: FloatArray, damping: float, selection: FloatArray) -> FloatArray:
-    """Return N = d E P (N, k, n) for a Jacobian J (N, r, n) and a selection E (k, n)."""
+def annihilator(
+    jacobian: FloatArray, damping: float, selection: FloatArray, *, orthonormal: bool = False
+) -> FloatArray:
+    """Return N = d E P (N, k, n) for a Jacobian J (N, r, n) and a selection E (k, n).
+
+    With ``orthonormal`` rows it is d (E P Eᵀ)^(-1/2) E P, for k of at most n - r.
+    """
     rank = jacobian.shape[1]
     Q, R = np.linalg.qr(jacobian.transpose(0, 2, 1), mode="complete")
     determinant = np.prod(np.diagonal(R, axis1=1, axis2=2) ** 2, axis=1)
     damped = np.linalg.det(jacobian @ jacobian.transpose(0, 2, 1) + damping**2 * np.eye(rank))
     free = Q[:, :, rank:]
-    N: FloatArray = (selection @ free) @ free.transpose(0, 2, 1)
+    selected = selection @ free
+    if orthonormal:
+        left, _, right = np.linalg.svd(selected, full_matrices=False)
+        selected = left @ right
+    N: FloatArray = selected @ free.transpose(0, 2, 1)
     N *= (determinant / damped)[:, None, None]
     return N
 
@@ -219,6 +229,15 @@ def without_contacts(
         for rows, result in zip(columns, results, strict=True):
             result[index] = _combined(model, active, position[index], rows[index])
     return results
+
+
+def combined_coordinates(model: RobotModel) -> tuple[int, ...]:
+    """Return the coordinates whose rows are orthonormal combinations if all contacts touch."""
+    contacts = model.contacts
+    if contacts is None or contacts.has_all_rows:
+        return ()
+    loaded = np.asarray(contacts.loads.any(axis=0))
+    return tuple(contacts.coordinates[loaded[contacts.coordinates]].tolist())
 
 
 def possible_states(model: RobotModel) -> tuple[tuple[bool, ...], ...]:
@@ -250,7 +269,8 @@ def _combined(
         return result
     poses = link_poses(model, position)
     J = contact_jacobian(model, contacts.frames, poses)[:, contacts.components]
-    N = annihilator(J, contacts.damping, np.eye(model.dof)[combined])
+    some = np.eye(model.dof)[combined]
+    N = annihilator(J, contacts.damping, some, orthonormal=not contacts.has_all_rows)
     is_known = np.isfinite(rows)
     kept = N @ np.where(is_known, rows, 0.0)
     if not is_known.all():

@@ -80,6 +80,7 @@ def pack_observations(observations: Sequence[Observations]) -> dict[str, Any]:
         "coordinates": np.array(layout.coordinates),
         "parameters": np.array(layout.parameters),
         "structure": layout.structure,
+        "combined": np.array(layout.combined, dtype=np.int64),
         "window": np.array([one.window for one in observations]),
         "inflation": np.array([one.inflation for one in observations]),
         "kept": np.array([one.kept for one in observations]),
@@ -309,7 +310,11 @@ def _layout(content: dict[str, np.ndarray]) -> RowLayout:
     structure = content["structure"].astype(bool)
     if structure.shape != (len(coordinates), len(parameters)):
         raise ValueError("its structure is not that of its parameters")
-    return RowLayout(coordinates, parameters, structure)
+    # Archives of earlier versions have none.
+    combined = content.get("combined", np.zeros(0)).astype(np.int64)
+    if not np.all((combined >= 0) & (combined < len(coordinates))):
+        raise ValueError("its combined coordinates are out of range")
+    return RowLayout(coordinates, parameters, structure, tuple(combined.tolist()))
 
 
 def _counts(content: dict[str, np.ndarray], key: str, layout: RowLayout) -> FloatArray:

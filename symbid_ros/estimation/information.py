@@ -20,7 +20,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.unmeasured_contacts import possible_states
+from symbid_ros.dynamics.unmeasured_contacts import combined_coordinates, possible_states
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.qr_update import fold_rows
 from symbid_ros.model.parameters import ParameterSet
@@ -44,11 +44,14 @@ class RowLayout:
         Names of the p parameters.
     structure : (n, p) bool
         Entries of K that are non-zero for some motion.
+    combined : tuple of int
+        Coordinates whose rows are orthonormal combinations of several, without unmeasured contacts.
     """
 
     coordinates: tuple[str, ...]
     parameters: tuple[str, ...]
     structure: BoolArray
+    combined: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, parameters: ParameterSet) -> "RowLayout":
@@ -69,7 +72,7 @@ class RowLayout:
             K = np.maximum(K, np.abs(rows.K).max(axis=0))
         # Structural zeros still contain rounding, relative to their column or row.
         structure = 1e-10 * np.maximum(K.max(axis=0), K.max(axis=1, keepdims=True)) < K
-        return cls(model.coordinates, parameters.names, structure)
+        return cls(model.coordinates, parameters.names, structure, combined_coordinates(model))
 
     def extended(self, names: tuple[str, ...], structure: BoolArray) -> "RowLayout":
         """Return the layout with more parameters, non-zero in the coordinates ``structure``."""
@@ -77,6 +80,7 @@ class RowLayout:
             self.coordinates,
             self.parameters + names,
             np.concatenate([self.structure, structure], axis=1),
+            self.combined,
         )
 
     def restricted(self, parameters: tuple[str, ...]) -> "RowLayout":
@@ -84,7 +88,7 @@ class RowLayout:
         if parameters not in self._restrictions:
             kept = [self.parameters.index(name) for name in parameters]
             self._restrictions[parameters] = RowLayout(
-                self.coordinates, parameters, self.structure[:, kept]
+                self.coordinates, parameters, self.structure[:, kept], self.combined
             )
         return self._restrictions[parameters]
 

@@ -237,12 +237,17 @@ class Observations:
 
         Coordinates with invalid samples are treated as independent of the others, because the
         missing residuals are unknown. In a short log all coordinates are treated as independent.
+        Orthonormal combinations have equal variances. They are coordinates of one space, whose
+        axes are arbitrary, and weights from the residuals would favour those axes that a wrong
+        model happens to explain well.
 
         Weights from the residuals that they weight are optimistic. With N independent rows of n
         coordinates the variance is corrected by (N + n)/(N - n).
         """
         moment = self.rows.residual_moment(phi) / np.maximum(self.counts, 1)
         moment[~self._coupled] = 0.0
+        alike = self._alike
+        moment[alike, alike] = self._common_variance(phi)
         # A coordinate without residual must keep a finite weight. A coordinate with too few rows
         # fits them exactly, so it gets no weight.
         floor = self._least_residual
@@ -254,6 +259,32 @@ class Observations:
             return self.inflation * moment
         independent = self.rows.samples / self.inflation
         return self.inflation * (independent + coupled) / (independent - coupled) * moment
+
+    def variance_ratio(self, phi: FloatArray) -> FloatArray:
+        """Return each coordinate's mean square residual over the variance (n,) that Σ has for it.
+
+        It is 1 but for orthonormal combinations, which have a common variance.
+        """
+        ratio, alike = np.ones(len(self.counts)), self._alike
+        if len(alike):
+            own = self.rows.residual_moment(phi).diagonal() / np.maximum(self.counts.diagonal(), 1)
+            common = self._common_variance(phi)
+            ratio[alike] = own[alike] / common if common > 0 else 1.0
+        return ratio
+
+    def _common_variance(self, phi: FloatArray) -> float:
+        """Return the mean square residual of orthonormal combinations."""
+        alike = self._alike
+        if not len(alike):
+            return 0.0
+        squares = self.rows.residual_moment(phi).diagonal()[alike].sum()
+        return float(squares / self.counts.diagonal()[alike].sum())
+
+    @property
+    def _alike(self) -> IntArray:
+        """Coordinates with rows that are orthonormal combinations."""
+        combined = np.array(self.layout.combined, dtype=np.int64)
+        return np.asarray(combined[self.counts.diagonal()[combined] > 0])
 
     def plausible_noise(self, phi: FloatArray, covariance: FloatArray) -> float:
         """Return the share of the noise's moments that is plausible given the residuals Σ (n, n).
@@ -298,6 +329,7 @@ class Observations:
         # Discounted counts are equal except for rounding.
         full = np.diag(self.counts) > (1 - 1e-9) * self.rows.samples
         full &= self.rows.samples > SAMPLES_PER_COORDINATE * n * self.inflation
+        full[list(self.layout.combined)] = False
         return np.asarray(np.outer(full, full) | np.eye(n, dtype=bool))
 
     @property

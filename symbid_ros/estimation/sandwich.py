@@ -51,4 +51,5 @@ def correlation_factors(found: Posterior, observations: Observations) -> FloatAr
     """Return the factor (n,) on each coordinate's residual variance, from 1."""
     # Overlapping windows are part of Σ already.
     factors = observations.correlation(found.mean) / observations.inflation
+    factors *= observations.variance_ratio(found.mean)
     return np.maximum(factors, 1.0)

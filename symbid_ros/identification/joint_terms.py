@@ -328,9 +328,6 @@ def rows_of(observations: Sequence[Observations], *, slips: bool) -> tuple[Obser
 def _any_slips(observations: Sequence[Observations], parameters: ParameterSet) -> bool:
     slipping = [one.slipping for one in observations if one.slipping is not None]
     rows = 6 * parameters.model.floating + parameters.joints
-    contacts = parameters.model.contacts
-    if contacts is not None:
-        # Rows that combine joints, of which one may stick nearly always, are too few to judge.
-        loaded = np.asarray(contacts.loads.any(axis=0))
-        rows = np.setdiff1d(rows, contacts.coordinates[loaded[contacts.coordinates]])
+    if parameters.model.contacts is not None:
+        rows = np.arange(parameters.model.dof)  # combinations contain the friction of all joints
     return any(np.any(one.counts.diagonal()[rows] >= FEWEST_SLIPPING) for one in slipping)

@@ -1,7 +1,7 @@
 """Rows of the equation of motion at single samples, and where they hold.
 
 A joint with dry friction obeys the equation of motion only while it slips. A row without unmeasured
-contacts is a combination of coordinates, and holds where all of them do.
+contacts is a combination of coordinates, and is used where most joints slip.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,6 +22,10 @@ from symbid_ros.signals.sensor_samples import SensorSamples
 # A joint's row is used if the joint slipped for this share of the window. The rest is enough for a
 # reversal, about which friction says most.
 SLIPPING = 0.8
+# Share of the joints in a combination that must slip. One of a dozen leg joints sticks nearly
+# always, and hardly any row would be left if all had to slip. The friction of a sticking joint,
+# which no column describes, is less than that of all joints without the column of Coulomb friction.
+MOST = 0.5
 
 
 @dataclass(frozen=True)
@@ -212,13 +216,15 @@ def _valid_combinations(
     if touching is None:
         touching = np.ones((len(valid), len(contacts.frames)), dtype=bool)
     combined = np.zeros_like(valid)
+    is_joint = np.arange(model.dof) >= 6 * model.floating
     for state, index in contact_states(touching):
         active = contacts_of_state(model, state)
         kept, loaded = active.coordinates, np.asarray(active.loads.any(axis=0))
         some = combined[index]
         # Combinations contain all coordinates that feel a contact; other rows stay as they are.
         some[:, kept] = valid[np.ix_(index, kept)]
-        together: BoolArray = np.asarray(valid[index][:, loaded].all(axis=1))
+        slipping_joints = valid[index][:, loaded & is_joint]
+        together: BoolArray = slipping_joints.sum(axis=1) >= MOST * slipping_joints.shape[1]
         some[:, kept[loaded[kept]]] = together[:, None]
         combined[index] = some
     return combined

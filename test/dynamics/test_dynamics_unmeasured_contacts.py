@@ -60,8 +60,9 @@ def test_all_rows_are_the_parts_that_no_wrench_balances(quadruped, flagged):
         touching[10:, 2:] = False
         motion = replace(motion, touching=touching)
     few, all_ = (equation_of_motion(ParameterSet(one), motion).K for one in (model, every))
-    kept = model.contacts.coordinates
-    np.testing.assert_allclose(all_[:, kept], few[:, kept], atol=1e-12 * np.abs(few).max())
+    # The few are orthonormal combinations of these, so that squares of errors are the same.
+    squares, of_few = (np.einsum("tij,tik->tjk", one, one) for one in (all_, few))
+    np.testing.assert_allclose(of_few, squares, atol=1e-9 * squares.max())
     whole = equation_of_motion(ParameterSet(quadruped), replace(motion, touching=None)).K
     J = contact_jacobian(quadruped, FEET, link_poses(quadruped, motion.position))
     for index in range(20):
@@ -151,17 +152,19 @@ def test_contacts_that_explain_everything_are_refused(quadruped):
         with_contacts(quadruped, FEET)
 
 
-def test_each_joint_must_slip_for_most_of_a_window_but_not_at_the_same_time(quadruped):
+def test_half_of_the_joints_must_slip_for_most_of_a_window_but_not_at_the_same_time(quadruped):
     model = with_contacts(quadruped, POINTS)
     touching = np.ones((1, len(FEET)))
     obeys = np.ones((1, 18))
     slips = obeys.copy()
-    slips[0, [6, 9, 12]] = 0.85  # if not at the same time, all three slip for 55 % of the window
+    slips[0, 6:] = 0.85  # if not at the same time, no two of the joints slip for all of the window
     rows = CombinedCoordinates(model, obeys, obeys, slips, touching)
     kept = model.contacts.coordinates
     valid, free = rows.valid()
     assert set(np.flatnonzero(valid)) == set(np.flatnonzero(free)) == set(kept)
-    slips[0, 9] = 0.75
+    slips[0, 6:12] = 0.75
+    assert set(np.flatnonzero(replace(rows, slips=slips).valid()[1])) == set(kept)
+    slips[0, 12] = 0.75
     valid, free = replace(rows, slips=slips).valid()
     assert set(np.flatnonzero(valid)) == set(kept)
     assert not free.any()

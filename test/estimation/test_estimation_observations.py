@@ -51,6 +51,25 @@ def test_partly_masked_coordinates_are_independent():
     assert np.all(found[:-2, :-2] != 0)
 
 
+def test_orthonormal_combinations_have_one_variance():
+    """Any other axes of their space give the same weights and thus the same estimate."""
+    log = gaussian_log(7, count=400)
+    one = log.observations()
+    n = len(one.layout.coordinates)
+    some = (0, 2)
+    layout = replace(one.layout, combined=some)
+    found = replace(one, rows=replace(one.rows, layout=layout), groups=None)
+    phi = np.zeros(len(layout.parameters))
+    covariance = found.residual_covariance(phi)
+    mean = found.rows.residual_moment(phi).diagonal() / found.counts.diagonal()
+    others = np.setdiff1d(np.arange(n), some)
+    alike = covariance.diagonal()[list(some)] / mean[list(some)].mean()
+    np.testing.assert_allclose(alike, (covariance.diagonal() / mean)[others][0], rtol=1e-9)
+    assert not covariance[np.ix_(some, others)].any()
+    assert found.variance_ratio(phi)[list(some)].sum() == pytest.approx(len(some))
+    np.testing.assert_array_equal(found.variance_ratio(phi)[others], 1.0)
+
+
 def test_a_short_log_has_no_correlations():
     log = gaussian_log(3, count=8)
     found = log.observations().residual_covariance(log.truth)

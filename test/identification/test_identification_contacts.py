@@ -168,6 +168,23 @@ def test_the_data_choose_the_friction_of_legs_that_swing(robot, true_robot):
     assert sum(one.is_determined for one in named.values()) >= 10
 
 
+def test_the_data_choose_the_friction_of_legs_that_stand(robot, true_robot):
+    """Rows combine all twelve joints, of which one is nearly always slow."""
+    rubbing = standing_log(true_robot, 16.0, 4, friction=0.3)
+    options = {"contact": POINTS, "window": 0.081, "no_holdout": True, "unchecked": True}
+    log = log_of(robot, rubbing)
+    chosen, without = (
+        identify(robot, log, **options, **terms)
+        for terms in ({}, {"joint_terms": ("viscous", "armature", "offset")})
+    )
+    terms = chosen.estimate.joint_terms
+    assert sum("coulomb" in one for one in terms.values()) >= 8
+    errors = [
+        np.linalg.norm(one.robot.phi[:, :4] - true_robot.phi[:, :4]) for one in (chosen, without)
+    ]
+    assert errors[0] < errors[1]
+
+
 def test_windows_that_leave_a_leg_hardly_any_row_are_not_chosen(robot, true_robot):
     """Each leg swings a fifth of the time: 5 windows of 321 ms, which its friction fits exactly."""
     rubbing = standing_log(true_robot, 16.0, 5, friction=0.1, steps=True)
