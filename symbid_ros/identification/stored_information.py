@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from symbid_ros.choices import SLIDING_TERMS
+from symbid_ros.dynamics.unmeasured_contacts import combined_coordinates
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.information import INCOMPATIBLE
 from symbid_ros.estimation.observations import Observations
@@ -73,6 +74,13 @@ def check_layout(
 ) -> None:
     """Raise an error if the data have other columns or rows than the parameters' robot."""
     p, coordinates = len(parameters), parameters.model.coordinates
+    combined = combined_coordinates(parameters.model)
     for one in observations:
         if (one.layout.parameters[:p], one.layout.coordinates) != (parameters.names, coordinates):
             raise EstimateError(f"{named}: {INCOMPATIBLE}; {ALIKE}", "E505")
+        if one.layout.combined != combined:
+            raise EstimateError(
+                f"{named}: its rows without contact forces are other combinations, of an earlier "
+                "version or of other contacts; identify its log again",
+                "E505",
+            )

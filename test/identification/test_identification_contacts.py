@@ -8,7 +8,7 @@ from live_feed import feed_of
 from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
-from symbid_ros.errors import DataError, OptionError
+from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import diagnose, identify
@@ -80,6 +80,12 @@ def test_efforts_alone_weigh_a_robot_on_its_feet(robot, true_robot, readings, tm
     found.save(tmp_path)
     combined = load_archive(tmp_path / "information.npz")[0].layout.combined
     assert combined == tuple(with_contacts(robot, POINTS).contacts.coordinates.tolist())
+    # Earlier versions combined coordinates otherwise, and their archives do not say so.
+    content = dict(np.load(tmp_path / "information.npz"))
+    del content["combined"]
+    np.savez(tmp_path / "earlier.npz", **content)
+    with pytest.raises(EstimateError, match="other combinations"):
+        load_problem(robot, log, IdentifyOptions(information=tmp_path / "earlier.npz"))
     again = validate(tmp_path, log)
     assert again.is_better
     assert again.mass is None
