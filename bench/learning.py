@@ -8,32 +8,36 @@
 Every number of the model file is wrong by up to a percentage; the simulated Symbitron is not. The
 table says when it fell with the file's inertias alone and with identified ones, how many of these
 were used, and how far its centre of mass was from the reference in the last 10 s (rms), relative to
-a controller with the true model.
+a controller with the true model. All of them make the same wide moves; the robot that learns begins
+with small ones.
 
 With --payload, 5 kg are attached to the body or a thigh of a robot that has learned its model,
-and removed again. The table says which link was named and when, and the error from 15 s
-after each of both on, relative to that of a controller that knows robot and payload.
+and removed again, while the moves are those of the scenario smooth. The table says which link was
+named and when, and the error from 15 s after each of both on, relative to that of a controller that
+knows robot and payload.
 
 With --quiet, a robot of which nothing changes moves for some minutes, and the models that it takes
 over after the first one are counted.
 
 Robot, controller and identifier run in simulated time in one process. With --processes, bridge,
-balance controller and identifier run as processes in real time, and the table counts falls.
+balance controller, identifier and recorder run as processes in real time. The table counts falls,
+and states the processor seconds of each process in a simulated second.
 """
 
 import argparse
 import tempfile
 import time
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from process_usage import processor_seconds
 from threadpoolctl import threadpool_limits
 
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.learning.lockstep import CHANGED, LearningRecord, LearningRun, LearningTask
+from symbid_ros.learning.lockstep import CHANGED, SMOOTH, LearningRecord, LearningRun, LearningTask
 from symbid_ros.learning.model_update import ACCEPTED
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
@@ -55,6 +59,7 @@ PLACES = {
 }
 RESTORED = 1.2  # of the true model's error
 FIRST_MINUTE, QUIET_SEED = 60.0, 320  # s
+NODES = ("mujoco_bridge", "balance_controller", "identifier", "recorder")
 
 
 def main() -> None:
@@ -131,7 +136,7 @@ def with_payload(folder: Path, seeds: list[int], percent: float) -> None:
     """Attach a payload to robots that have learned their models, and remove it."""
     threadpool_limits(1)
     seconds = ATTACHED + VARIES + 2 * CARRIED
-    unloaded = LearningRun(LearningTask(TRUE, seconds), learns=False).run()
+    unloaded = LearningRun(LearningTask(TRUE, seconds, scenario=SMOOTH), learns=False).run()
     loaded: dict[str, LearningRecord] = {}
     change = "{} | named after | models | size | error, relative"
     print(f"| prior | link | {change.format('attached')} | {change.format('removed')} | outcome |")
@@ -148,6 +153,7 @@ def with_payload(folder: Path, seeds: list[int], percent: float) -> None:
             wrong_model(folder, percent, seed),
             seconds,
             noise_seed=seed,
+            scenario=SMOOTH,
             payload=payload,
             attached=attached,
             removed=removed,
@@ -187,7 +193,7 @@ def carrying_from_the_start(folder: Path, payload: Payload, seconds: float) -> L
     values[place : place + 10] += payload.phi
     model = folder / f"with_{payload.link}.xml"
     model.write_text(mjcf_text(parameters.apply(values), TRUE))
-    task = LearningTask(model, seconds, payload=payload, attached=0.0)
+    task = LearningTask(model, seconds, scenario=SMOOTH, payload=payload, attached=0.0)
     return LearningRun(task, learns=False).run()
 
 
@@ -199,6 +205,7 @@ def without_change(folder: Path, percent: float, minutes: float) -> None:
         FIRST_MINUTE + 60.0 * minutes,
         moves=round(30 * (minutes + 1)),
         noise_seed=QUIET_SEED,
+        scenario=SMOOTH,
         memory=MEMORY,
     )
     record = LearningRun(task, learns=True).run()
@@ -210,39 +217,73 @@ def without_change(folder: Path, percent: float, minutes: float) -> None:
 
 
 def by_processes(folder: Path, seeds: list[int], percent: float, seconds: float) -> None:
-    """Count falls of bridge, balance controller and identifier in real time."""
-    print("| prior | falls, file alone | falls, learning | models |\n|---|---|---|---|", flush=True)
+    """Count falls of bridge, balance controller, identifier and recorder in real time."""
+    print(
+        "| prior | falls, file alone | falls, learning | models | real-time factor | "
+        f"{' | '.join(NODES)} | sum |"
+    )
+    print("|" + "---|" * (6 + len(NODES)), flush=True)
     with private_graph() as graph:
         for seed in seeds:
             model = wrong_model(folder, percent, seed)
-            (alone, _), (learning, models) = (
-                run_processes(model, graph, seconds, learns) for learns in (False, True)
+            alone, learning = (
+                run_processes(model, graph, seconds, learns, folder / f"{seed}{learns}")
+                for learns in (False, True)
             )
-            print(f"| {seed} | {alone} | {learning} | {models} |", flush=True)
+            used = [f"{learning.usage[name]:.2f}" for name in NODES]
+            print(
+                f"| {seed} | {alone.falls} | {learning.falls} | {learning.models} | "
+                f"{learning.factor:.2f} | {' | '.join(used)} | "
+                f"{sum(learning.usage.values()):.2f} |",
+                flush=True,
+            )
+
+
+@dataclass(frozen=True)
+class ProcessRun:
+    """Falls, models taken over, simulated seconds per second, and processor seconds of each node.
+
+    The processor seconds are those of a simulated second.
+    """
+
+    falls: int
+    models: int
+    factor: float
+    usage: dict[str, float]
 
 
 def run_processes(
-    model: Path, graph: dict[str, str], seconds: float, learns: bool
-) -> tuple[int, int]:
-    """Return the number of falls and of models that the controller took over."""
+    model: Path, graph: dict[str, str], seconds: float, learns: bool, bag: Path
+) -> ProcessRun:
+    """Let the nodes run in real time; without learning, without an identifier."""
     environment = graph | {"OMP_NUM_THREADS": "1"}
     logs = model.parent
     with ExitStack() as stack:
+        nodes: dict[str, NodeProcess] = {}
 
-        def started(name: str, **parameters: object) -> NodeProcess:
+        def start(name: str, **parameters: object) -> None:
             node = NodeProcess(name, parameters, environment, logs / f"{name}.log")
-            return stack.enter_context(node)
+            nodes[name] = stack.enter_context(node)
 
         source = "identifier" if learns else "file"
-        controller = started("balance_controller", model=str(model), model_source=source)
+        start("balance_controller", model=str(model), model_source=source, scenario="wide")
         if learns:
-            started("identifier", model=str(model))
+            start("identifier", model=str(model))
+            start("recorder", bag=str(bag))
         time.sleep(START)
-        bridge = started("mujoco_bridge", command_source="topic")
+        start("mujoco_bridge", command_source="topic")
+        time.sleep(START)
+        before = {name: processor_seconds(node.pid) for name, node in nodes.items()}
         time.sleep(seconds)
-        falls = bridge.finish(stop=True)["commands"]["falls"]
-        controller.finish(stop=True)
-    return falls, controller.log.read_text().count("replaces the present one")
+        used = {name: processor_seconds(node.pid) - before[name] for name, node in nodes.items()}
+        summary = nodes["mujoco_bridge"].finish(stop=True)
+        nodes["balance_controller"].finish(stop=True)
+    factor = summary["real_time_factor"]
+    usage = {name: spent / (factor * seconds) for name, spent in used.items()}
+    log = nodes["balance_controller"].log.read_text()
+    return ProcessRun(
+        summary["commands"]["falls"], log.count("replaces the present one"), factor, usage
+    )
 
 
 if __name__ == "__main__":

@@ -8,7 +8,9 @@ Filter = Literal["weak", "butterworth", "savitzky_golay"]
 Channels = Literal["all", "thesis"]
 Criterion = Literal["gen_force", "torque", "com"]
 Term = Literal["viscous", "coulomb", "armature", "offset", "stribeck", "load", "presliding"]
-Scenario = Literal["smooth", "squat", "vibrating", "one_leg", "stepping", "suspended", "tare"]
+Scenario = Literal[
+    "smooth", "wide", "squat", "vibrating", "one_leg", "stepping", "suspended", "tare"
+]
 SensorErrorKind = Literal[
     "plate_offset",
     "plate_gain",

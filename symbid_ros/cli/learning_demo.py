@@ -50,7 +50,7 @@ def demonstrate_learning(
 ) -> None:
     """Let three robots move side by side, and report, with the prior in the folder."""
     from symbid_ros.learning.figures import ALONE, LEARNING, TRUE
-    from symbid_ros.learning.lockstep import LearningRun, LearningTask
+    from symbid_ros.learning.lockstep import SMOOTH, LearningRun, LearningTask
     from symbid_ros.learning.page import event_text, summary_rows, verdict, write_learning_report
     from symbid_ros.model.load import load_model
     from symbid_ros.simulation.body_inertia import Payload
@@ -59,6 +59,7 @@ def demonstrate_learning(
     wrong = write_wrong_model(out, model)
     task = LearningTask(wrong, moves=moves, noise_seed=seed)
     if with_payload:
+        task = replace(task, scenario=SMOOTH)
         duration = LearningRun(task, learns=False).duration
         task = replace(
             task,
@@ -103,7 +104,7 @@ def demonstrate_learning(
     print_table(console, "", [list(records)], rows)
     facts = {
         "Prior": f"±{percent:g} %, seed {seed}; {wrong.name} has its values",
-        "Moves": f"{moves} moves of the centre of mass and turns of the trunk, scenario smooth",
+        "Moves": f"{moves} moves of the centre of mass and turns of the trunk, {task.scenario}",
         **carried,
         "Bag": "bag/, all topics of the robot that learns",
         "Time": "simulated; robot, controller and identifier run in lockstep in one process",

@@ -59,7 +59,8 @@ def simulate(
     Without, the Symbitron carries out a scenario.
 
     [b]Scenarios[/b]: in [b]smooth[/b] and [b]vibrating[/b] the robot stands and moves its centre
-    of mass. In [b]squat[/b] it moves mostly up and down. In [b]one_leg[/b] it stands on each leg
+    of mass. In [b]wide[/b] it moves as far as a robot with a good model of itself stands. In
+    [b]squat[/b] it moves mostly up and down. In [b]one_leg[/b] it stands on each leg
     in turn while the other foot makes --moves moves in the air, 1.3 s each. In [b]stepping[/b] it
     makes --moves slow steps, forward and back. In [b]suspended[/b] it hangs from an overhead
     support that rocks it. In [b]tare[/b] it hangs at rest for 5 s and the force plates
@@ -182,7 +183,7 @@ def _is_simulated_bag(folder: Path) -> bool:
     return {".mcap"} <= suffixes <= {".mcap", ".yaml"}
 
 
-StandingScenario = Literal["smooth", "squat"]
+StandingScenario = Literal["smooth", "wide", "squat"]
 
 
 def udp_client(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.model_gate import CandidateModel, ModelGate
-from symbid_ros.simulation.reach import LEAST_REACH, safe_reach
+from symbid_ros.simulation.reach import safe_reach
 from symbid_ros.simulation.standing_controller import StandingController
 
 ACCEPTED, REFUSED, WITHDRAWN = "accepted", "refused", "withdrawn"
@@ -56,7 +56,7 @@ class ModelUpdate:
         self._gate = ModelGate(largest_change)
         self.counts = dict.fromkeys((ACCEPTED, REFUSED, WITHDRAWN), 0)
         self.used = self.refusal = self._before = ""
-        controller.move_within(LEAST_REACH)
+        controller.move_within(controller.least_reach)
 
     def judge(self, candidate: CandidateModel, label: str) -> Decision | None:
         """Use the newest model, refuse or withdraw one; return None if nothing changes.
@@ -69,7 +69,7 @@ class ModelUpdate:
         """
         controller = self._controller
         if candidate.change:
-            controller.move_within(LEAST_REACH)
+            controller.move_within(controller.least_reach)
         is_news = self._gate.is_news(candidate)
         if controller.is_changing:
             fault = candidate.change or next(iter(candidate.alarms), "")
@@ -111,5 +111,5 @@ class ModelUpdate:
             controller.adopt(proposal)
             if candidate.mass_std is not None and candidate.com_std is not None:
                 share = candidate.mass_std / float(candidate.phi[:, 0].sum())
-                controller.move_within(safe_reach(share, candidate.com_std))
+                controller.move_within(safe_reach(share, candidate.com_std, controller.size))
         return reason

@@ -23,7 +23,6 @@ from symbid_ros.ros.process import construct, run_node
 from symbid_ros.ros.raw_subscription import DecodedMessage, DecodedSubscription, wait_for_any
 from symbid_ros.ros.reporting import OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.simulation.plant import RobotFailureError
-from symbid_ros.simulation.reach import LEAST_REACH
 from symbid_ros.simulation.sensors import BalanceFeedback
 from symbid_ros.simulation.standing_controller import StandingController
 
@@ -36,7 +35,7 @@ STOP_POLL = 0.05  # s; longest delay until a stop signal is noticed
 SILENCE = 0.5  # s without a measurement until the status becomes a warning
 WARNING_PERIOD = 5.0  # s between two warnings of one kind
 PARAMETERS = (
-    Parameter("scenario", "smooth", "What the robot does.", choices=("smooth", "squat")),
+    Parameter("scenario", "smooth", "What the robot does.", choices=("smooth", "wide", "squat")),
     Parameter("moves", 20, "Number of moves of the centre of mass.", minimum=1, maximum=100_000),
     Parameter("motion_seed", 0, "Random seed of the moves.", minimum=0),
     Parameter(
@@ -202,7 +201,7 @@ class BalanceNode:
             moves=values["moves"],
             motion_seed=values["motion_seed"],
             model_path=model,
-            reach=LEAST_REACH if learns else 1.0,
+            is_cautious=learns,
         )
         self._subscriber = FeedbackSubscriber(node, self._controller.joint_names)
         self._publisher = CommandPublisher(node, self._controller.drive_names)

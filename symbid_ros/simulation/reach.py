@@ -9,20 +9,32 @@ from symbid_ros.simulation.controller import BalanceGains, Reference
 
 # Duration of a change, s. Widening 8 cm by all of it adds at most 5 cm/s, less than a fast move.
 CHANGE_DURATION = 3.0
-# Largest distance of a move's end from the middle, m, and the distance that planned centres of
-# pressure keep from the soles' edges, m: an error of this size does not tip a sole.
-SIZE, MARGIN = 0.08, BalanceGains().sole_margin
-LEAST_REACH = MARGIN / SIZE
+# Distance that planned centres of pressure keep from the soles' edges, m: an error of this size
+# does not tip a sole.
+MARGIN = BalanceGains().sole_margin
+# Largest distance of a move's end from the middle and of the robot from there by an error, m.
+LARGEST_DISTANCE = 0.1
 GRAVITY = 9.81  # m/s²
 
 
-def safe_reach(mass_std: float, com_std: float) -> float:
+def least_reach(size: float) -> float:
+    """Return the share of their size that moves may have with any model.
+
+    Parameters
+    ----------
+    size : float
+        Largest distance of a move's end from the middle, m.
+    """
+    return min(1.0, MARGIN / size)
+
+
+def safe_reach(mass_std: float, com_std: float, size: float) -> float:
     """Return the share of their size that moves may have with a model of limited accuracy.
 
     A wrong centre of mass displaces the robot as far as it is wrong. A mass that is wrong by a
     share e displaces it by e times gravity over the controller's stiffness. The size of a move and
-    two standard deviations of this displacement must fit into the size for which moves are
-    planned and the margin of the soles. The least reach uses up the margin alone.
+    two standard deviations of this displacement must fit into :data:`LARGEST_DISTANCE`. The least
+    reach uses up the margin of the soles alone.
 
     Parameters
     ----------
@@ -30,11 +42,13 @@ def safe_reach(mass_std: float, com_std: float) -> float:
         Standard deviation of the robot's mass, as a share of it.
     com_std : float
         Standard deviation of its centre of mass, m.
+    size : float
+        Largest distance of a move's end from the middle, m.
     """
     displacement = float(np.hypot(com_std, mass_std * GRAVITY / BalanceGains().com_stiffness))
-    share = (SIZE + MARGIN - 2.0 * displacement) / SIZE
+    share, least = (LARGEST_DISTANCE - 2.0 * displacement) / size, least_reach(size)
     # Written so that NaN gives the least reach.
-    return min(share, 1.0) if share > LEAST_REACH else LEAST_REACH
+    return min(share, 1.0) if share > least else least
 
 
 class Reach:

@@ -14,8 +14,14 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.controller import BalanceController, BalanceGains, BalanceTask
 from symbid_ros.simulation.controller_model import replace_inertias
 from symbid_ros.simulation.plant import Plant, State, com_in_pose, site_ids
-from symbid_ros.simulation.reach import Reach, ScaledMotion
-from symbid_ros.simulation.scenario import SOLES, STANDING, draw_standing_task, require_seed
+from symbid_ros.simulation.reach import Reach, ScaledMotion, least_reach
+from symbid_ros.simulation.scenario import (
+    COM_MOVES,
+    SOLES,
+    STANDING,
+    draw_standing_task,
+    require_seed,
+)
 from symbid_ros.simulation.sensors import SCALAR_FIRST, BalanceFeedback
 
 # Standard deviations of the velocities in least squares: the difference of two encoder readings,
@@ -161,15 +167,15 @@ class StandingController:
     Parameters
     ----------
     scenario : str
-        ``smooth`` or ``squat``.
+        ``smooth``, ``wide`` or ``squat``.
     moves : int
         Number of moves.
     motion_seed : int
         Seed of the random moves.
     model_path : Path or None
         The controller's model of the robot as MJCF; None for config/symbitron.xml.
-    reach : float
-        Share of the size of the moves at first.
+    is_cautious : bool
+        Whether moves have the least reach at first, as with a model that may be wrong.
 
     Attributes
     ----------
@@ -179,6 +185,9 @@ class StandingController:
         The joint of each drive, in the order of torques.
     duration : float
         Duration of the moves, s; the robot keeps standing after them.
+    size : float
+        Largest horizontal distance of a move's end from the middle, m; for squatting, whose trunk
+        leans, that of ``smooth``.
     """
 
     def __init__(
@@ -188,7 +197,7 @@ class StandingController:
         moves: int = 20,
         motion_seed: int = 0,
         model_path: Path | None = None,
-        reach: float = 1.0,
+        is_cautious: bool = False,
     ) -> None:
         if scenario not in STANDING:
             raise SimulationError(
@@ -203,7 +212,9 @@ class StandingController:
         self._model = robot.model
         self._state: State | None = None
         self._transition: _Transition | None = None
-        self._reach = Reach(reach)
+        widths = np.maximum(STANDING[scenario][0].half_widths, COM_MOVES.half_widths)
+        self.size = float(widths[:2].max())
+        self._reach = Reach(self.least_reach if is_cautious else 1.0)
         self._task = draw_standing_task(robot, moves, motion_seed, *STANDING[scenario])
         self.duration = self._task.duration
         self._moves = ScaledMotion(self._task.com, np.zeros(3), self._reach.at)
@@ -242,6 +253,11 @@ class StandingController:
     def torque_limits(self) -> FloatArray:
         """Largest torques (A,) of the drives, Nm."""
         return np.asarray(np.abs(self._limits).min(axis=1))
+
+    @property
+    def least_reach(self) -> float:
+        """Share of the size of the moves that the margin of the soles covers with any model."""
+        return least_reach(self.size)
 
     @property
     def reach(self) -> float:

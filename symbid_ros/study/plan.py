@@ -36,7 +36,7 @@ class SimulatedLog(PlanEntry):
 
     Attributes
     ----------
-    scenario : {"smooth", "vibrating", "squat", "one_leg", "stepping", "suspended"}
+    scenario : {"smooth", "wide", "vibrating", "squat", "one_leg", "stepping", "suspended"}
         The robot's motion.
     moves : int
         Number of moves, which sets the length of the log.
@@ -50,7 +50,9 @@ class SimulatedLog(PlanEntry):
         Systematic errors, as `symbid simulate --errors` takes them.
     """
 
-    scenario: Literal["smooth", "vibrating", "squat", "one_leg", "stepping", "suspended"] = "smooth"
+    scenario: Literal[
+        "smooth", "wide", "vibrating", "squat", "one_leg", "stepping", "suspended"
+    ] = "smooth"
     moves: Count = 20
     motion_seed: Seed = 1
     noise_seed: Seed = 1

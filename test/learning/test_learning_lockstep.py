@@ -8,15 +8,17 @@ import pytest
 from bag_editing import topic_counts
 
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.learning.lockstep import LearningRecord, LearningRun, LearningTask
+from symbid_ros.learning.lockstep import SMOOTH, LearningRecord, LearningRun, LearningTask
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.body_inertia import Payload
-from symbid_ros.simulation.reach import LEAST_REACH, safe_reach
+from symbid_ros.simulation.reach import least_reach, safe_reach
+from symbid_ros.simulation.scenario import WIDE_MOVES
 
 TRUTH = config_file("symbitron.xml")
+SIZE = float(WIDE_MOVES.half_widths.max())
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +53,11 @@ def test_models_are_taken_over_while_the_deviations_shrink(learning) -> None:
 
 def test_moves_begin_small_and_widen_with_what_is_known(learning) -> None:
     before = learning.time < 1.0
-    assert np.all(learning.reach[before] == LEAST_REACH)
+    assert np.all(learning.reach[before] == least_reach(SIZE))
     assert np.all(np.diff(learning.reach) >= 0)
     first = learning.estimates[0]
-    wanted = safe_reach(first.mass_std / first.mass, first.com_std)
-    assert LEAST_REACH < learning.reach[-1] < wanted
+    wanted = safe_reach(first.mass_std / first.mass, first.com_std, SIZE)
+    assert least_reach(SIZE) < learning.reach[-1] < wanted
 
 
 def test_the_bag_holds_all_topics_of_the_run(learning, bag) -> None:
@@ -74,7 +76,9 @@ def test_equal_tasks_give_equal_records(task, learning) -> None:
 
 def test_a_payload_moves_the_true_centre_of_mass(task) -> None:
     load = Payload("base_link", 2.0, (0.0, 0.0, 0.2))
-    carrying = replace(task, model=TRUTH, seconds=1.0, payload=load, attached=0.2, removed=0.6)
+    carrying = replace(
+        task, model=TRUTH, seconds=1.0, scenario=SMOOTH, payload=load, attached=0.2, removed=0.6
+    )
     record = LearningRun(carrying, learns=False).run()
     assert [(event.time, event.kind) for event in record.events] == [
         (0.2, "attached"),
@@ -93,7 +97,13 @@ def test_a_robot_learns_what_it_carries(task) -> None:
     """From the time that the payload is named, the model in use is soon that of the whole."""
     attached, load = 13.1, Payload("L_thigh", 5.0, (0.2, 0.0, 0.05))
     carrying = replace(
-        task, model=TRUTH, seconds=20.5, payload=load, attached=attached, memory=10.0
+        task,
+        model=TRUTH,
+        seconds=20.5,
+        scenario=SMOOTH,
+        payload=load,
+        attached=attached,
+        memory=10.0,
     )
     record = LearningRun(carrying, learns=True).run()
     assert record.fall is None

@@ -11,7 +11,7 @@ from symbid_ros.learning.model_update import ModelUpdate
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.options import SimulateOptions
-from symbid_ros.simulation.reach import LEAST_REACH, safe_reach
+from symbid_ros.simulation.reach import safe_reach
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.standing_controller import StandingController
 
@@ -20,7 +20,7 @@ class Robot:
     """A standing controller, whose time goes on when asked."""
 
     def __init__(self) -> None:
-        self.controller = StandingController(reach=LEAST_REACH)
+        self.controller = StandingController(is_cautious=True)
         self.update = ModelUpdate(self.controller)
         self._instants = iter(Simulator(SimulateOptions()))
         self.go_on(20)
@@ -43,18 +43,18 @@ def known() -> CandidateModel:
 
 def test_only_a_change_of_the_robot_makes_moves_smaller(known) -> None:
     robot = Robot()
-    wide = safe_reach(0.1 / known.phi[:, 0].sum(), 0.015)
+    wide = safe_reach(0.1 / known.phi[:, 0].sum(), 0.015, robot.controller.size)
     assert robot.kind(known) == "accepted"
-    assert robot.controller.wanted_reach == wide > LEAST_REACH
+    assert robot.controller.wanted_reach == wide > robot.controller.least_reach
     robot.go_on(1100)
     better = replace(known, com_std=0.005)
     assert robot.kind(replace(better, alarms=("too much noise",))) == "refused"
     assert robot.controller.wanted_reach == wide
     assert robot.kind(replace(better, change="L_thigh has changed")) == "refused"
-    assert robot.controller.wanted_reach == LEAST_REACH
+    assert robot.controller.wanted_reach == robot.controller.least_reach
     # Less is known of the changed robot than of the one before.
     assert robot.kind(replace(known, com_std=0.016)) == "accepted"
-    assert LEAST_REACH < robot.controller.wanted_reach < wide
+    assert robot.controller.least_reach < robot.controller.wanted_reach < wide
 
 
 def test_after_a_withdrawn_model_the_next_one_need_not_be_better(known) -> None:

@@ -260,7 +260,7 @@ def test_a_payload_given_at_the_start_is_attached_at_its_time(graph, tmp_path: P
     [
         (
             {"scenario": "dance"},
-            "parameter scenario: 'dance' is not valid; give one of smooth, squat, v",
+            "parameter scenario: 'dance' is not valid; give one of smooth, wide, squat, v",
         ),
         ({"moves": 0}, "parameter moves: not a valid value; give an integer at least 1"),
         ({"moves": "many"}, "parameter moves: not a valid value; give an integer at least 1"),

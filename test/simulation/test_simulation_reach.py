@@ -5,11 +5,11 @@ import pytest
 
 from symbid_ros.simulation.reach import (
     CHANGE_DURATION,
-    LEAST_REACH,
+    LARGEST_DISTANCE,
     MARGIN,
-    SIZE,
     Reach,
     ScaledMotion,
+    least_reach,
     safe_reach,
 )
 from symbid_ros.simulation.trajectory import MoveRange, draw_trajectory
@@ -61,11 +61,15 @@ def test_a_change_under_way_is_finished_before_the_next(scaled):
     assert reach.at(0.0) == (1.0, 0.0, 0.0)
 
 
-def test_the_move_and_two_deviations_fit_into_the_support():
-    assert safe_reach(0.0, 0.0) == safe_reach(0.0, MARGIN / 2) == 1.0
+@pytest.mark.parametrize("size", [0.08, 0.096])
+def test_the_move_and_two_deviations_fit_into_the_support(size):
+    allowed = (LARGEST_DISTANCE - size) / 2
+    assert safe_reach(0.0, 0.0, size) == safe_reach(0.0, 0.99 * allowed, size) == 1.0
     for com_std in (0.015, 0.02, 0.03):
-        assert safe_reach(0.0, com_std) * SIZE + 2 * com_std == pytest.approx(SIZE + MARGIN)
+        move = safe_reach(0.0, com_std, size) * size
+        assert move + 2 * com_std == pytest.approx(LARGEST_DISTANCE)
     # A mass that is wrong by a share lowers the robot by that share of gravity over stiffness.
-    assert safe_reach(0.1, 0.0) == pytest.approx(safe_reach(0.0, 0.1 * 9.81 / 60))
-    assert safe_reach(0.0, 1.0) == safe_reach(np.nan, 0.01) == LEAST_REACH
-    assert LEAST_REACH * SIZE == MARGIN
+    by_mass = safe_reach(0.1, 0.0, size)
+    assert by_mass == pytest.approx(safe_reach(0.0, 0.1 * 9.81 / 60, size))
+    assert safe_reach(0.0, 1.0, size) == safe_reach(np.nan, 0.01, size) == least_reach(size)
+    assert least_reach(size) * size == pytest.approx(MARGIN)

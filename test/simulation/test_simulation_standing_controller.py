@@ -155,7 +155,7 @@ def test_a_model_stays_when_the_moves_restart():
 
 
 def test_suspended_scenarios_raise_an_error():
-    with pytest.raises(SimulationError, match="smooth, squat") as caught:
+    with pytest.raises(SimulationError, match="smooth, wide, squat") as caught:
         StandingController("suspended")
     assert caught.value.code == "E606"
 
