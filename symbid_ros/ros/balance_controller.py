@@ -84,8 +84,12 @@ class FeedbackSubscriber:
         self._indices: IntArray = np.arange(len(self._joint_names))
 
     def wait(self, timeout: float) -> None:
-        """Sleep until a message arrives, at most ``timeout`` seconds."""
-        wait_for_any(self._node, [self._joints, self._imu], timeout)
+        """Sleep until the message that completes a pair may have arrived, at most ``timeout`` s.
+
+        It waits for one topic at a time, since each wait costs some 20 µs of a period of 1 ms.
+        """
+        joints, imu = (max(unpaired, default=0) for unpaired in self._unpaired)
+        wait_for_any(self._node, [self._joints if imu > joints else self._imu], timeout)
 
     def newest(self) -> BalanceFeedback | None:
         """Return the newest feedback if it has not been returned before.

@@ -92,6 +92,16 @@ def test_joints_are_read_by_name_and_paired_with_the_imu(robot: Robot) -> None:
     np.testing.assert_array_equal(robot.read(6).joint_position, [1.0, 3.0])
 
 
+def test_a_wait_ends_with_the_message_that_was_missing(robot: Robot) -> None:
+    for first, second in ((robot.joints, robot.imu), (robot.imu, robot.joints)):
+        for stamp in range(1, 4):
+            first(stamp)
+            assert robot.subscriber.newest() is None
+            second(stamp)
+            robot.subscriber.wait(DEADLINE)
+            robot.read(stamp)
+
+
 def test_an_imu_at_half_the_rate_limits_the_complete_instants(robot: Robot) -> None:
     robot.joints(1, 2, 3, 4)
     robot.imu(1)
