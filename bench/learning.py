@@ -8,8 +8,8 @@
 Every number of the model file is wrong by up to a percentage; the simulated Symbitron is not. The
 table says when it fell with the file's inertias alone and with identified ones, how many of these
 were used, and how far its centre of mass was from the reference in the last 10 s (rms), relative to
-a controller with the true model. All of them make the same wide moves; the robot that learns begins
-with small ones.
+a controller with the true model. All of them make the same moves; the robot that learns begins with
+small ones.
 
 With --payload, 5 kg are attached to the body or a thigh of a robot that has learned its model,
 and removed again, while the moves are those of the scenario smooth. The table says which link was
@@ -37,7 +37,14 @@ from threadpoolctl import threadpool_limits
 
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.learning.lockstep import CHANGED, SMOOTH, LearningRecord, LearningRun, LearningTask
+from symbid_ros.learning.lockstep import (
+    CHANGED,
+    SMOOTH,
+    WIDE,
+    LearningRecord,
+    LearningRun,
+    LearningTask,
+)
 from symbid_ros.learning.model_update import ACCEPTED
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
@@ -68,6 +75,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(200, 220)))
     parser.add_argument("--seconds", type=float, default=70.0)
     parser.add_argument("--percent", type=float, default=25.0)
+    parser.add_argument("--scenario", choices=(SMOOTH, WIDE), default=WIDE)
     parser.add_argument("--learning-only", action="store_true", help="without the file alone")
     parser.add_argument("--payload", action="store_true")
     parser.add_argument("--quiet", type=float, metavar="MINUTES")
@@ -76,14 +84,18 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if given.processes:
-            by_processes(folder, given.seeds, given.percent, given.seconds)
+            by_processes(folder, given.seeds, given.percent, given.seconds, given.scenario)
         elif given.payload:
             with_payload(folder, given.seeds, given.percent)
         elif given.quiet:
             without_change(folder, given.percent, given.quiet)
         else:
             in_lockstep(
-                folder, given.seeds, given.percent, given.seconds, learning_only=given.learning_only
+                folder,
+                given.seeds,
+                given.percent,
+                LearningTask(TRUE, given.seconds, scenario=given.scenario),
+                learning_only=given.learning_only,
             )
 
 
@@ -97,11 +109,12 @@ def wrong_model(folder: Path, percent: float, seed: int) -> Path:
 
 
 def in_lockstep(
-    folder: Path, seeds: list[int], percent: float, seconds: float, *, learning_only: bool
+    folder: Path, seeds: list[int], percent: float, known: LearningTask, *, learning_only: bool
 ) -> None:
     """Compare the file alone, learning and the true model in simulated time."""
     threadpool_limits(1)
-    truth = LearningRun(LearningTask(TRUE, seconds), learns=False).run()
+    truth = LearningRun(known, learns=False).run()
+    seconds = float(known.seconds or 0.0)
     last = seconds - WINDOW, seconds
     best = truth.com_error(*last)
     print(f"With the true model: {1e3 * best:.2f} mm.\n")
@@ -109,7 +122,7 @@ def in_lockstep(
     print("|---|---|---|---|---|---|---|", flush=True)
     alone_stands = learning_stands = 0
     for seed in seeds:
-        task = replace(LearningTask(wrong_model(folder, percent, seed), seconds), noise_seed=seed)
+        task = replace(known, model=wrong_model(folder, percent, seed), noise_seed=seed)
         alone = None if learning_only else LearningRun(task, learns=False).run()
         learning = LearningRun(task, learns=True).run()
         alone_stands += alone is not None and alone.fall is None
@@ -216,7 +229,9 @@ def without_change(folder: Path, percent: float, minutes: float) -> None:
     )
 
 
-def by_processes(folder: Path, seeds: list[int], percent: float, seconds: float) -> None:
+def by_processes(
+    folder: Path, seeds: list[int], percent: float, seconds: float, scenario: str
+) -> None:
     """Count falls of bridge, balance controller, identifier and recorder in real time."""
     print(
         "| prior | falls, file alone | falls, learning | models | real-time factor | "
@@ -227,7 +242,7 @@ def by_processes(folder: Path, seeds: list[int], percent: float, seconds: float)
         for seed in seeds:
             model = wrong_model(folder, percent, seed)
             alone, learning = (
-                run_processes(model, graph, seconds, learns, folder / f"{seed}{learns}")
+                run_processes(model, graph, seconds, scenario, learns=learns)
                 for learns in (False, True)
             )
             used = [f"{learning.usage[name]:.2f}" for name in NODES]
@@ -253,7 +268,7 @@ class ProcessRun:
 
 
 def run_processes(
-    model: Path, graph: dict[str, str], seconds: float, learns: bool, bag: Path
+    model: Path, graph: dict[str, str], seconds: float, scenario: str, *, learns: bool
 ) -> ProcessRun:
     """Let the nodes run in real time; without learning, without an identifier."""
     environment = graph | {"OMP_NUM_THREADS": "1"}
@@ -266,10 +281,10 @@ def run_processes(
             nodes[name] = stack.enter_context(node)
 
         source = "identifier" if learns else "file"
-        start("balance_controller", model=str(model), model_source=source, scenario="wide")
+        start("balance_controller", model=str(model), model_source=source, scenario=scenario)
         if learns:
             start("identifier", model=str(model))
-            start("recorder", bag=str(bag))
+            start("recorder", bag=str(model.parent / f"bag_{time.time_ns()}"))
         time.sleep(START)
         start("mujoco_bridge", command_source="topic")
         time.sleep(START)

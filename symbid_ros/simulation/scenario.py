@@ -59,6 +59,7 @@ WIDE_MOVES = replace(
     COM_MOVES,
     half_widths=COM_MOVES.half_widths * np.array([WIDER, WIDER, 1.0]),
     speeds=(WIDER * COM_MOVES.speeds[0], WIDER * COM_MOVES.speeds[1]),
+    shortest=WIDER * COM_MOVES.shortest,
 )
 
 # Squatting: metres and m/s, nearly vertical. The ankles' end stops limit the depth; leaning the

@@ -20,7 +20,17 @@ from symbid_ros.simulation.systematic_errors import ERRORS
 def test_help_names_every_scenario_and_error(symbid_here):
     shown = symbid_here("simulate", "--help", columns=200)
     assert shown.returncode == 0
-    words = ("smooth", "vibrating", "one_leg", "stepping", "suspended", "tare", "typical", *ERRORS)
+    words = (
+        "smooth",
+        "wide",
+        "vibrating",
+        "one_leg",
+        "stepping",
+        "suspended",
+        "tare",
+        "typical",
+        *ERRORS,
+    )
     assert [word for word in words if word not in shown.stdout] == []
 
 

@@ -13,7 +13,16 @@ from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.controller import proxqp
 from symbid_ros.simulation.options import SimulateOptions
-from symbid_ros.simulation.scenario import COM_MOVES, SCENARIOS, SQUAT_MOVES
+from symbid_ros.simulation.plant import Plant
+from symbid_ros.simulation.scenario import (
+    COM_MOVES,
+    SCENARIOS,
+    SOLES,
+    SQUAT_MOVES,
+    STANDING,
+    WIDER,
+    draw_standing_task,
+)
 from symbid_ros.simulation.simulator import Simulator
 
 
@@ -157,6 +166,16 @@ def test_centre_of_mass_follows_its_moves(smooth, body):
     assert np.ptp(offsets, axis=0).min() > 0.7
     feet = np.array([body.site(sensor.frame_id)[0] for sensor in smooth.sensors])
     np.testing.assert_allclose(feet, [[-0.115, 0.13, 0.0], [-0.115, -0.13, 0.0]], atol=2e-3)
+
+
+def test_wide_moves_go_further_in_the_same_time_but_no_higher():
+    plant = Plant(config_file("symbitron.xml"), SOLES)
+    tasks = [draw_standing_task(plant, 40, 3, *STANDING[name]) for name in ("smooth", "wide")]
+    smooth, wide = (task.com for task in tasks)
+    offsets = (wide.points[1:] - wide.points[0] - COM_MOVES.centre) / COM_MOVES.half_widths
+    assert WIDER * 0.9 < np.abs(offsets[:, :2]).max() < WIDER
+    assert np.abs(offsets[:, 2]).max() < 1.0
+    assert wide.duration == pytest.approx(smooth.duration, rel=0.1)
 
 
 def test_squat_bends_the_knees_and_moves_vertically(squat, body):
