@@ -287,11 +287,15 @@ def run_processes(
             start("recorder", bag=str(model.parent / f"bag_{time.time_ns()}"))
         time.sleep(START)
         start("mujoco_bridge", command_source="topic")
+        bridge = nodes["mujoco_bridge"]
+        while "waiting for a controller" not in bridge.log.read_text():
+            bridge.require_running()
+            time.sleep(0.1)
         time.sleep(START)
         before = {name: processor_seconds(node.pid) for name, node in nodes.items()}
         time.sleep(seconds)
         used = {name: processor_seconds(node.pid) - before[name] for name, node in nodes.items()}
-        summary = nodes["mujoco_bridge"].finish(stop=True)
+        summary = bridge.finish(stop=True)
         nodes["balance_controller"].finish(stop=True)
     factor = summary["real_time_factor"]
     usage = {name: spent / (factor * seconds) for name, spent in used.items()}
