@@ -57,9 +57,8 @@ def demonstrate_learning(
 
     robot = load_model(model)
     wrong = write_wrong_model(out, model)
-    task = LearningTask(wrong, moves=moves, noise_seed=seed)
+    task = LearningTask(wrong, moves=moves, noise_seed=seed, scenario=SMOOTH)
     if with_payload:
-        task = replace(task, scenario=SMOOTH)
         duration = LearningRun(task, learns=False).duration
         task = replace(
             task,

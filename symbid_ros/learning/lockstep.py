@@ -46,8 +46,8 @@ class LearningTask:
         Number of moves of the centre of mass; the robot stands still after them.
     motion_seed, noise_seed : int
     scenario : str
-        The moves. With ``wide`` most robots with a wrong model fall, and with 5 kg on a thigh even
-        one that knows itself; with ``smooth`` it carries them.
+        The moves: ``wide`` for robots that know themselves, or ``smooth``, in which they also carry
+        a payload.
     payload : Payload or None
         Attached at ``attached`` and removed at ``removed``, s.
     attached, removed : float
