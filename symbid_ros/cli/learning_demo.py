@@ -103,7 +103,7 @@ def demonstrate_learning(
     print_table(console, "", [list(records)], rows)
     facts = {
         "Prior": f"±{percent:g} %, seed {seed}; {wrong.name} has its values",
-        "Moves": f"{moves} moves of the centre of mass and turns of the trunk, {task.scenario}",
+        "Moves": f"{moves} moves of the centre of mass and turns of the trunk ({task.scenario})",
         **carried,
         "Bag": "bag/, all topics of the robot that learns",
         "Time": "simulated; robot, controller and identifier run in lockstep in one process",

@@ -52,8 +52,8 @@ TRUNK_TURNS = MoveRange(
 )
 TURNS_PER_MOVE = 2
 
-# Wide: as far and as fast as a robot with a good model of itself stands. If all of `smooth`, heights
-# and turns as well, is scaled by 1.3, ankles and knees reach their end stops.
+# Wide: as far and as fast as a robot with a good model of itself stands. If heights and turns of
+# `smooth` are scaled as well, and by 1.3, ankles and knees reach their end stops.
 WIDER = 1.2
 WIDE_MOVES = replace(
     COM_MOVES,
