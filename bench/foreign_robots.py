@@ -47,12 +47,8 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.prior import default_prior, draw_prior
 from symbid_ros.identification.intervals import HALF_WIDTH
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.sensor_errors import (
-    CalibratingRows,
-    LinearizationPoint,
-    SensorErrors,
-    error_columns,
-)
+from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint, error_columns
+from symbid_ros.signals.sensor_errors import SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples
 
 FloatArray = NDArray[np.float64]

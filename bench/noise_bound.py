@@ -29,7 +29,8 @@ from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.evaluation import TrueMotion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
-from symbid_ros.signals.sensor_errors import LinearizationPoint, SensorErrors, error_columns
+from symbid_ros.signals.calibrating_rows import LinearizationPoint, error_columns
+from symbid_ros.signals.sensor_errors import SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples
 from symbid_ros.simulation.settings import ChannelValues, load_noise
 

@@ -24,15 +24,10 @@ from symbid_ros.identification.stance_closure import (
     find_stances,
 )
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
-from symbid_ros.signals.sensor_errors import (
-    COMPLIANCE,
-    DRIVE_GAIN,
-    CalibratingRows,
-    LinearizationPoint,
-    SensorErrors,
-)
+from symbid_ros.signals.sensor_errors import COMPLIANCE, DRIVE_GAIN, SensorErrors
 from symbid_ros.signals.streams import WrenchStream
 from symbid_ros.signals.weak_form import ALL_WINDOWS, FORCES, MOTION, suitable_windows
 

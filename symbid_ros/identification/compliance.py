@@ -16,12 +16,8 @@ from symbid_ros.identification.calibration import POINT_CONVERGED, compliance_st
 from symbid_ros.identification.candidate_trial import training_part
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.solver import Solver
-from symbid_ros.signals.sensor_errors import (
-    COMPLIANCE,
-    CalibratingRows,
-    LinearizationPoint,
-    SensorErrors,
-)
+from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
+from symbid_ros.signals.sensor_errors import COMPLIANCE, SensorErrors
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suitable_windows
 
 logger = logging.getLogger(__name__)

@@ -40,7 +40,7 @@ from symbid_ros.identification.term_remarks import (
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.sensor_errors import CalibratingRows
+from symbid_ros.signals.calibrating_rows import CalibratingRows
 
 SIGNED_DRIVES = (
     "the efforts contradict positive armature and friction of drives, so armature and viscous "

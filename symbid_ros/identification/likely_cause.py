@@ -21,14 +21,10 @@ from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
 from symbid_ros.signals.segments import Segment
-from symbid_ros.signals.sensor_errors import (
-    COMPLIANCE,
-    CalibratingRows,
-    LinearizationPoint,
-    SensorErrors,
-)
+from symbid_ros.signals.sensor_errors import COMPLIANCE, SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples
 from symbid_ros.signals.weak_form import block_length, windowed_rows
 

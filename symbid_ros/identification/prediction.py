@@ -22,16 +22,11 @@ from symbid_ros.identification.solver import Identification
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows, sampled_rows
 from symbid_ros.signals.segments import Segment
-from symbid_ros.signals.sensor_errors import (
-    ALL_KINDS,
-    DRIVE_GAIN,
-    CalibratingRows,
-    LinearizationPoint,
-    SensorErrors,
-)
+from symbid_ros.signals.sensor_errors import ALL_KINDS, DRIVE_GAIN, SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base, build_samples
 from symbid_ros.signals.weak_form import check_windows, equation_rows, windowed_rows
 

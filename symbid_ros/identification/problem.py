@@ -14,8 +14,8 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.sampled_rows import RowBuilder
-from symbid_ros.signals.sensor_errors import CalibratingRows
 from symbid_ros.signals.weak_form import equation_rows
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
-from symbid_ros.signals.sensor_errors import CalibratingRows
+from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.user_files import load_json
 
 logger = logging.getLogger(__name__)

@@ -34,8 +34,8 @@ from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.wrist_sensors import sensor_names
 from symbid_ros.package_paths import package_version
+from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.sampled_rows import RowBuilder
-from symbid_ros.signals.sensor_errors import CalibratingRows
 
 # Mean square difference of two estimates, in deviations, above which the model is wrong. It is a
 # few hundredths for logs that obey the model.

@@ -25,8 +25,9 @@ from symbid_ros.dynamics.placements import screws_at_base
 from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.calibrating_rows import LinearizationPoint
 from symbid_ros.signals.segments import Segment
-from symbid_ros.signals.sensor_errors import LinearizationPoint, SensorErrors, left_jacobian
+from symbid_ros.signals.sensor_errors import SensorErrors, left_jacobian
 
 logger = logging.getLogger(__name__)
 

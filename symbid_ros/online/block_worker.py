@@ -10,8 +10,8 @@ import numpy as np
 
 from symbid_ros.identification.accumulator import BlockAccumulator, TimeSpan
 from symbid_ros.identification.calibration import NOISY_CHANNELS
+from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
-from symbid_ros.signals.sensor_errors import CalibratingRows
 from symbid_ros.signals.sensor_samples import SensorSamples
 from symbid_ros.signals.weak_form import MOTION, Channel, EquationRows
 

@@ -44,7 +44,7 @@ from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.live_terms import LiveTerms
 from symbid_ros.online.message_check import MessageCheck
 from symbid_ros.signals.alignment import joint_columns
-from symbid_ros.signals.sensor_errors import CalibratingRows
+from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suitable_windows
 
 logger = logging.getLogger(__name__)

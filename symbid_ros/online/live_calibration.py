@@ -24,8 +24,8 @@ from symbid_ros.identification.calibration import (
     calibration_windows,
 )
 from symbid_ros.identification.problem import Problem
+from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.sampled_rows import RowBuilder
-from symbid_ros.signals.sensor_errors import CalibratingRows
 
 # Bytes of aligned sensor data that are kept to be linearized again: 100 s of the Symbitron.
 MOST_KEPT = 32 << 20

@@ -14,7 +14,7 @@ from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.online.live_streams import LiveStreams, TopicBuffer
 from symbid_ros.ros.estimate_topics import estimate_status
 from symbid_ros.ros.reporting import ERROR, OK, WARN, NodeStatus
-from symbid_ros.signals.sensor_errors import CalibratingRows
+from symbid_ros.signals.calibrating_rows import CalibratingRows
 
 SILENCE = 2.0  # s without a message until a topic is reported
 RATE_PERIOD = 0.5  # s; shortest time over which rates are computed

@@ -20,7 +20,8 @@ from symbid_ros.identification.stance_closure import (
 )
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.sensor_errors import LinearizationPoint, SensorErrors
+from symbid_ros.signals.calibrating_rows import LinearizationPoint
+from symbid_ros.signals.sensor_errors import SensorErrors
 
 KINDS = ("encoder_offset", "link_length", "joint_axis")
 SOLES = "left_sole", "right_sole"

@@ -11,15 +11,8 @@ from symbid_ros.choices import TYPICAL_ERRORS
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.sensor_errors import (
-    DEVIATIONS,
-    KINDS,
-    UNITS,
-    CalibratingRows,
-    LinearizationPoint,
-    SensorErrors,
-    error_columns,
-)
+from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint, error_columns
+from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, UNITS, SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import BLOCK, FORCES, MOTION, equation_rows, windowed_rows
 from symbid_ros.simulation.options import SimulateOptions
