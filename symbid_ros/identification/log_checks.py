@@ -1,7 +1,7 @@
 """Checks of a log before its identification: refusals, warnings, alarms and starting points."""
 
 import logging
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -68,7 +68,7 @@ NO_CHECKS = LogChecks()
 
 
 class ModelWatch:
-    """Collects what a log says about the model, in a thread while the log is read.
+    """Collects what a log says about the model; if called, in a thread while the log is read.
 
     Parameters
     ----------
@@ -82,10 +82,17 @@ class ModelWatch:
         self._pool = ThreadPoolExecutor(1, "checks")
         self._added: Future[None] | None = None
 
+    def add(self, segment: Segment) -> None:
+        """Add a segment."""
+        if self._statistics is None:
+            frames = segment.wrench_frames, segment.imu_frames
+            self._statistics = ModelStatistics(self._robot, *frames)
+        self._statistics.add(segment)
+
     def __call__(self, segment: Segment) -> None:
-        """Add a segment, once the one before has been added."""
+        """Add a segment in the thread, once the one before has been added."""
         if self._added is None or self._added.exception() is None:
-            self._added = self._pool.submit(self._add, segment)
+            self._added = self._pool.submit(self.add, segment)
 
     def statistics(self) -> ModelStatistics | None:
         """Return the statistics of all segments; errors that occurred are raised here."""
@@ -93,24 +100,6 @@ class ModelWatch:
             self._added.result()
         self._pool.shutdown()
         return self._statistics
-
-    def _add(self, segment: Segment) -> None:
-        if self._statistics is None:
-            self._statistics = _no_statistics(self._robot, segment)
-        self._statistics.add(segment)
-
-
-def _no_statistics(robot: RobotModel, segment: Segment) -> ModelStatistics:
-    return ModelStatistics(robot, segment.wrench_frames, segment.imu_frames)
-
-
-def _statistics_of(segments: Iterable[Segment], robot: RobotModel) -> ModelStatistics | None:
-    statistics: ModelStatistics | None = None
-    for segment in segments:
-        if statistics is None:
-            statistics = _no_statistics(robot, segment)
-        statistics.add(segment)
-    return statistics
 
 
 def check_dataset(
@@ -147,9 +136,11 @@ def check_dataset(
     _refuse_unusable(source, of_streams)
     statistics = None
     if robot.contacts is None:  # else there is no force to compare with
-        statistics = (
-            _statistics_of(dataset.segments, robot) if watch is None else watch.statistics()
-        )
+        if watch is None:
+            watch = ModelWatch(robot)
+            for segment in dataset.segments:
+                watch.add(segment)
+        statistics = watch.statistics()
     found: list[Finding] = []
     if statistics is not None:
         found = check_model(

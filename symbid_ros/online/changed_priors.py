@@ -72,7 +72,7 @@ class ChangedPriors:
         problem : Problem
             With the prior so far.
         settled : tuple of Change and Posterior
-            The change, and what was known before.
+            The change and the posterior before it.
         terms : Prior
             Prior of all columns; what follows is too short to tell of what size joint terms are.
         """

@@ -34,8 +34,9 @@ def figure_data(content: ReportContent) -> dict[str, Any]:
         ]
         gaps = pauses(forces.time)
         data |= {
-            # uPlot needs increasing times.
-            "time": packed(np.insert(forces.time, gaps, forces.time[gaps] - 1e-3)),
+            "time": packed(
+                np.insert(forces.time, gaps, (forces.time[gaps - 1] + forces.time[gaps]) / 2)
+            ),
             "frequency": packed(forces.frequency),
             "first": int(shown_joints(forces)[0]),
             "coordinates": [

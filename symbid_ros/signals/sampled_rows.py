@@ -78,10 +78,10 @@ class CombinedCoordinates:
         )
 
     def valid(self) -> tuple[BoolArray, BoolArray | None]:
-        """Return which rows of windows (W, n) are valid, and which of them no joint sticks in.
+        """Return which rows of windows (W, n) are valid, and in which of them the joints slip.
 
-        Each joint must slip for most of the window, but not all of them at the same time. The
-        second part is None if the joints' terms are given.
+        A joint slips if it does so for most of the window. Of the joints in a combination, half
+        must slip. The second part is None if the joints' terms are given.
         """
         contacts = self.model.contacts
         assert contacts is not None
@@ -154,7 +154,7 @@ def valid_rows(
 ) -> SampledRows:
     """Return rows valid at some coordinates (N, n), except where the force was not measured.
 
-    ``slips`` (N, n) tells at which coordinates no joint sticks, which some terms need.
+    ``slips`` (N, n) tells at which coordinates joints slip, which some terms need.
     """
     measured = np.isfinite(rows.y)
     if not measured.all():
@@ -177,7 +177,7 @@ def valid_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
 
 
 def slipping_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArray | None:
-    """Return at which coordinates (N, n) no joint sticks, if it is open which have friction.
+    """Return at which coordinates (N, n) joints slip, if it is open which have friction.
 
     None if the joints' terms are given.
     """
