@@ -24,7 +24,8 @@ With `--kinematics` the joints of an arm's model file are displaced by up to 2 m
 to 0.3° about each axis, and their placements are estimated with the links. The bound knows them.
 
 With `--no-foot-sensors` the logs of legged robots have no wrenches, and no option says where they
-stand. Torques are judged with the true wrenches.
+stand. Torques are judged with the true wrenches. Feet that are balls in the model then touch the
+ground at their lowest points; sensors would feel forces at their centres.
 """
 
 import argparse
@@ -154,7 +155,8 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
     errors = SensorErrors.of(setup.geometry, stated, (), ())
     theta = np.sqrt(3) * errors.std * rng.uniform(-1, 1, len(errors))
     robot = errors.placed(ParameterSet(stated), theta).model
-    motion = move(robot, feet, rng, setup.seconds, setup.rate)
+    on_balls = not setup.has_foot_sensors
+    motion = move(robot, feet, rng, setup.seconds, setup.rate, on_balls=on_balls)
     size = np.sqrt(np.mean(torque(plain(robot), motion) ** 2, axis=0))
     size = np.maximum(size, 0.05 * size.max())
     truth = with_friction(robot, friction.startswith("present"), size, rng)
@@ -166,7 +168,7 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
     by_hand = sy.identify(
         model, log, joint_terms=(terms,), no_holdout=True, sensor_errors=setup.geometry
     )
-    other = move(robot, feet, rng, 20.0, setup.rate)
+    other = move(robot, feet, rng, 20.0, setup.rate, on_balls=on_balls)
     true = torque(truth, other)
     noise = effort_deviation(truth, size, setup.effort_noise)
     force = FORCE if setup.has_foot_sensors else UNKNOWN
@@ -262,8 +264,13 @@ def move(
     rng: np.random.Generator,
     seconds: float,
     rate: float = RATE,
+    *,
+    on_balls: bool = False,
 ) -> Samples:
-    """Return a random motion with the wrenches of the feet, and no efforts yet."""
+    """Return a random motion with the wrenches of the feet, and no efforts yet.
+
+    ``on_balls`` has forces act where balls touch the ground, instead of at the feet's origins.
+    """
     time = np.arange(0.0, seconds, 1 / rate)
     if not feet:
         position = robot.apply_mimics(waves(rng, time, len(robot.joints), LARGEST_SPEED / 2))
@@ -284,13 +291,31 @@ def move(
     world = make_interp_spline(time, place, k=5).derivative(2)(time) + upwards
     motion = samples(time, position, omega, alpha, rotation.inv().apply(world))
     motion = replace(motion, wrenches=np.zeros((len(time), len(feet), 6)), wrench_frames=feet)
+    if on_balls:
+        motion = replace(motion, upward=rotation.inv().apply([0.0, 0.0, 1.0]))
     owed = base_wrench(robot, motion)
-    held = carrying_components(feet)
+    levers = held_wrenches(robot, motion)
     # Wrenches with the smallest sum of squares; each row of `effect` is that of a component.
-    effect = contact_jacobian(robot, feet, link_poses(robot, position))[:, held, :6]
+    jacobian = contact_jacobian(robot, feet, link_poses(robot, position))
+    effect = levers.transpose(0, 2, 1) @ jacobian[:, :, :6]
     shares = effect @ np.linalg.solve(effect.transpose(0, 2, 1) @ effect, owed[..., None])
-    motion.wrenches.reshape(len(time), -1)[:, held] = shares[..., 0]
-    return motion
+    return replace(motion, wrenches=(levers @ shares).reshape(len(time), len(feet), 6))
+
+
+def held_wrenches(robot: sy.RobotModel, motion: Samples) -> FloatArray:
+    """Return the wrenches (N, 6 F, h) in the feet's frames of the unit components that carry."""
+    held = carrying_components(motion.wrench_frames)
+    wrenches = np.zeros((len(motion), 6 * len(motion.wrench_frames), len(held)))
+    wrenches[:, held, np.arange(len(held))] = 1.0
+    if motion.upward is None:
+        return wrenches
+    rotations = link_poses(robot, motion.position).rotation
+    for index, frame in enumerate(map(robot.frame, motion.wrench_frames)):
+        axes = rotations[:, frame.link] @ frame.rotation
+        bottom = -frame.radius * np.einsum("tji,tj->ti", axes, motion.upward)
+        for axis, column in enumerate(np.searchsorted(held, 6 * index + np.arange(3, 6))):
+            wrenches[:, 6 * index : 6 * index + 3, column] += np.cross(bottom, np.eye(3)[axis])
+    return wrenches
 
 
 def waves(
@@ -470,7 +495,7 @@ def least_variance(
         jacobian = contact_jacobian(truth, motion.wrench_frames, link_poses(truth, motion.position))
         held = carrying_components(motion.wrench_frames)
         deviation = force * 9.81 * truth.phi[:, 0].sum() * np.where(np.mod(held, 6) < 3, LEVER, 1.0)
-        shares = jacobian[:, held] * deviation[:, None]
+        shares = held_wrenches(truth, motion).transpose(0, 2, 1) @ jacobian * deviation[:, None]
         covariance += shares.transpose(0, 2, 1) @ shares
     # Joints that follow others have no equation of their own.
     own = np.setdiff1d(np.arange(truth.dof), first + np.array(list(truth.followers), dtype=int))

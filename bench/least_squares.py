@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from real_data import FloatArray, Recording, base_readings, low_pass
 from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
 from symbid_ros.dynamics.contact import contact_jacobian
@@ -23,6 +24,7 @@ ROWS_PER_SECOND = 100.0
 EDGE = 2.0  # periods of the low-pass that its transient disturbs at both ends
 MOTION = 4.0  # cutoff of the motion, in cutoffs of the rows: the motion drives faster terms
 REWEIGHTINGS = 5
+LEVELLING = 4.0  # s over which the base hardly accelerates in the mean
 
 
 @dataclass(frozen=True)
@@ -123,24 +125,50 @@ def sample(
     motion = position, velocity, acceleration, base
     if not contacts:
         return Sampled(*motion, force[kept], period, cutoff, kept, slipping)
-    projections = contact_projections(robot, position, contacts)
+    above = np.zeros_like(position[:, :3]) if base is None else upward(base, period)
+    projections = contact_projections(robot, position, contacts, above)
     found = Sampled(*motion, force[kept], period, cutoff, kept, slipping, projections)
     projected = found.filtered(force)
     projected[is_near_pause(recording.time, clock[kept], EDGE / cutoff)] = np.nan
     return replace(found, force=projected)
 
 
+def upward(base: sy.BaseMotion, period: float) -> FloatArray:
+    """Return the direction away from the earth (N, 3) in base axes.
+
+    The mean specific force over a few seconds points there, in axes that the gyroscope holds.
+    """
+    above = np.empty_like(base.specific_force)
+    for start in range(0, len(above), round(LEVELLING / period)):
+        part = slice(start, start + round(LEVELLING / period))
+        turn = Rotation.identity()
+        turned = []
+        for rate in base.angular_velocity[part]:
+            turned.append(turn)
+            turn = turn * Rotation.from_rotvec(rate * period)
+        axes = Rotation.concatenate(turned)
+        mean = axes.apply(base.specific_force[part]).mean(axis=0)
+        above[part] = axes.inv().apply(mean / np.linalg.norm(mean))
+    return above
+
+
 def contact_projections(
-    robot: sy.RobotModel, position: FloatArray, contacts: Sequence[str]
+    robot: sy.RobotModel, position: FloatArray, contacts: Sequence[str], above: FloatArray
 ) -> FloatArray:
     """Return P (N, n, n): onto the generalised forces that no force at a contact changes.
 
-    P = 1 - J⁺ J with the Jacobian J of the contacts' points (Mistry, Buchli and Schaal 2010, ICRA).
+    P = 1 - J⁺ J with the Jacobian J of the contacts' points (Mistry, Buchli and Schaal 2010, ICRA):
+    the lowest points of the feet's balls, for the directions ``above`` (N, 3) in base axes.
     """
     poses = link_poses(robot, position)
     jacobian = contact_jacobian(robot, tuple(contacts), poses)
-    forces = [6 * index + axis for index in range(len(contacts)) for axis in (3, 4, 5)]
-    J = jacobian[:, forces]
+    J = np.empty((len(position), 3 * len(contacts), jacobian.shape[2]))
+    for index, frame in enumerate(map(robot.frame, contacts)):
+        axes = poses.rotation[:, frame.link] @ frame.rotation
+        bottom = -frame.radius * np.einsum("tji,tj->ti", axes, above)
+        moments, forces = (jacobian[:, 6 * index + k : 6 * index + k + 3] for k in (0, 3))
+        lever = np.cross(bottom[:, None], np.eye(3))  # of unit forces, their moments
+        J[:, 3 * index : 3 * index + 3] = forces + lever @ moments
     P: FloatArray = np.eye(J.shape[2]) - np.linalg.pinv(J) @ J
     return P
 

@@ -212,7 +212,7 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
         y -= known_force(parameters, samples)
     if model.contacts is not None:
         both = np.concatenate([K, y[..., None]], axis=2)
-        (both,) = without_contacts(model, samples.position, both, touching=samples.touching)
+        both = without_contacts(model, samples, both)
         K, y = both[..., :-1], both[..., -1]
     return Rows(K, y)
 

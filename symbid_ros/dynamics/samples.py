@@ -37,6 +37,9 @@ class Samples:
     sliding, friction_state : (N, J) float64 or None
         Of :func:`coulomb_column` and :func:`friction_state`, filtered like the efforts; None for
         single instants.
+    upward : (N, 3) float64 or None
+        Direction away from the earth in base axes; None if it follows from the motion of the base
+        (:func:`symbid_ros.dynamics.upright.upward`).
     """
 
     stamp: IntArray
@@ -52,6 +55,7 @@ class Samples:
     touching: BoolArray | None = None
     sliding: FloatArray | None = None
     friction_state: FloatArray | None = None
+    upward: FloatArray | None = None
 
     @classmethod
     def none(cls, joint_names: tuple[str, ...]) -> "Samples":

@@ -12,6 +12,10 @@ need an N that is smooth in time, and P is not smooth where J_g loses rank. The 
 d = det(J Jᵀ) / det(J Jᵀ + ε²) vanishes there, and det(J Jᵀ) P = det(J Jᵀ) - Jᵀ adj(J Jᵀ) J is a
 polynomial of J. E depends on the robot alone, so that logs can be merged.
 
+A contact without moments acts at a point. That of a ball, such as the foot of a quadruped, is its
+lowest point, which moves along the ball as the leg turns. The ground is taken to be level, and
+:func:`symbid_ros.dynamics.upright.upward` finds what is above.
+
 If it is known which contacts touch something, the others are left out of J_g. More rows remain
 then: those of a leg that swings are used as they are.
 """
@@ -25,7 +29,9 @@ from scipy.linalg import qr
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.contact import RANK_TOLERANCE, contact_jacobian
-from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.kinematics import LinkPoses, link_poses, skew
+from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.upright import upward
 from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import Contacts, RobotModel
 
@@ -55,8 +61,9 @@ def with_contacts(model: RobotModel, contacts: Sequence[str]) -> RobotModel:
     model : RobotModel
         The robot.
     contacts : sequence of str
-        ``FRAME`` or ``FRAME:surface`` for a contact with force and moment, ``FRAME:point`` for one
-        with a force alone.
+        ``FRAME`` or ``FRAME:surface`` for a contact with force and moment, ``FRAME:RADIUS`` for one
+        with a force alone at the bottom of a ball about the frame's origin, m, and ``FRAME:point``
+        for one at the bottom of the model's ball, or at the origin if the model has no ball there.
 
     Raises
     ------
@@ -66,7 +73,7 @@ def with_contacts(model: RobotModel, contacts: Sequence[str]) -> RobotModel:
     if not contacts:
         return model
     frames = tuple(model.frame(one.partition(":")[0]).name for one in contacts)
-    found = _eliminated(model, tuple(contacts), frames)
+    found = _eliminated(model, tuple(_explicit(model, one) for one in contacts), frames)
     if not len(found.coordinates):
         raise ModelError(
             f"{model.source}: unknown wrenches at {', '.join(frames)} explain any motion of this "
@@ -74,6 +81,21 @@ def with_contacts(model: RobotModel, contacts: Sequence[str]) -> RobotModel:
             "E121",
         )
     return replace(model, contacts=found)
+
+
+def _explicit(model: RobotModel, contact: str) -> str:
+    """Return a contact with the radius of the model's ball in place of ``point``."""
+    name, _, kind = contact.partition(":")
+    radius = model.frame(name).radius
+    return f"{name}:{radius:.6g}" if kind == POINT and radius else contact
+
+
+def _radius(name: str) -> float | None:
+    """Return the radius of a contact without moments; None for a surface."""
+    kind = name.partition(":")[2]
+    if kind in ("", SURFACE):
+        return None
+    return 0.0 if kind == POINT else float(kind)
 
 
 def with_all_rows(model: RobotModel) -> RobotModel:
@@ -125,10 +147,11 @@ def _eliminated(
     loads[:, [first + joint for joint in model.followers]] = False
     possible: list[int] = []
     for index, name in enumerate(names):
-        start = 3 if name.partition(":")[2] == POINT else 0
+        start = 0 if _radius(name) is None else 3
         possible += range(6 * index + start, 6 * index + 6)
+    radii = np.array([_radius(name) or 0.0 for name in names])
     if not possible:
-        return Contacts(names, frames, np.zeros(0, dtype=np.int64), 0.0, own, loads)
+        return Contacts(names, frames, radii, np.zeros(0, dtype=np.int64), 0.0, own, loads)
     J = contact_jacobian(model, frames, link_poses(model, _postures(model)))
     _, R, order = qr(J[0][np.array(possible)].T, mode="economic", pivoting=True)
     size = np.abs(R.diagonal())
@@ -144,7 +167,7 @@ def _eliminated(
     before = np.zeros(0, dtype=np.int64) if kept is None else np.setdiff1d(kept, free)
     others = np.setdiff1d(np.arange(model.dof), [*free, *before])
     chosen = _independent(projections, (free, before, others), left)
-    return Contacts(names, frames, components, damping, chosen, loads)
+    return Contacts(names, frames, radii, components, damping, chosen, loads)
 
 
 def _own_coordinates(model: RobotModel) -> IntArray:
@@ -180,7 +203,8 @@ def _postures(model: RobotModel) -> FloatArray:
     rng = np.random.default_rng(0)
     lower, upper = (np.array([getattr(one, end) for one in model.joints]) for end in ENDS)
     is_limited = np.isfinite(lower) & np.isfinite(upper)
-    middle = np.where(is_limited, np.where(is_limited, lower + upper, 0.0) / 2, 0.0)
+    lower, upper = (np.where(is_limited, end, 0.0) for end in (lower, upper))
+    middle = (lower + upper) / 2
     half = np.minimum(np.where(is_limited, upper - middle, LARGEST_ANGLE), LARGEST_ANGLE)
     share = rng.uniform(-1, 1, (POSTURES, len(model.joints)))
     return model.apply_mimics(middle + share * half)
@@ -207,28 +231,24 @@ def annihilator(
     return N
 
 
-def without_contacts(
-    model: RobotModel,
-    position: FloatArray,
-    *columns: FloatArray,
-    touching: BoolArray | None = None,
-) -> list[FloatArray]:
-    """Return rows (N, n, c) at joint positions (N, J) combined so that no contact enters them.
+def without_contacts(model: RobotModel, samples: Samples, rows: FloatArray) -> FloatArray:
+    """Return rows (N, n, c) of samples combined so that no contact enters them.
 
     The rows of other coordinates than ``coordinates`` of the contacts are zero. NaN in a row is
-    also in the combinations that contain it. ``touching`` (N, F) tells which contacts touch
-    something; without it all do.
+    also in the combinations that contain it. Where the samples do not tell which contacts touch
+    something, all do.
     """
     contacts = model.contacts
     assert contacts is not None
-    if touching is None:
-        return [_combined(model, contacts, position, rows) for rows in columns]
-    results = [np.zeros_like(rows) for rows in columns]
-    for state, index in contact_states(touching):
+    up = upward(samples) if contacts.radii.any() else None
+    if samples.touching is None:
+        return _combined(model, contacts, samples.position, rows, up)
+    result = np.zeros_like(rows)
+    for state, index in contact_states(samples.touching):
         active = contacts_of_state(model, state)
-        for rows, result in zip(columns, results, strict=True):
-            result[index] = _combined(model, active, position[index], rows[index])
-    return results
+        above = None if up is None else up[index]
+        result[index] = _combined(model, active, samples.position[index], rows[index], above)
+    return result
 
 
 def combined_coordinates(model: RobotModel) -> tuple[int, ...]:
@@ -256,9 +276,16 @@ def contact_states(touching: BoolArray) -> Iterator[tuple[tuple[bool, ...], IntA
 
 
 def _combined(
-    model: RobotModel, contacts: Contacts, position: FloatArray, rows: FloatArray
+    model: RobotModel,
+    contacts: Contacts,
+    position: FloatArray,
+    rows: FloatArray,
+    up: FloatArray | None,
 ) -> FloatArray:
-    """Return the combinations of rows (N, n, c) that no wrench of the contacts enters."""
+    """Return the combinations of rows (N, n, c) that no wrench of the contacts enters.
+
+    The direction ``up`` (N, 3), in base axes, is needed for balls.
+    """
     result = np.zeros_like(rows)
     loaded = np.asarray(contacts.loads.any(axis=0))
     # Rows on which no contact acts stay as they are.
@@ -268,7 +295,10 @@ def _combined(
     if not len(combined):
         return result
     poses = link_poses(model, position)
-    J = contact_jacobian(model, contacts.frames, poses)[:, contacts.components]
+    J = contact_jacobian(model, contacts.frames, poses)
+    if up is not None:
+        J = _at_bottoms(J, model, contacts, poses, up)
+    J = J[:, contacts.components]
     some = np.eye(model.dof)[combined]
     N = annihilator(J, contacts.damping, some, orthonormal=not contacts.has_all_rows)
     is_known = np.isfinite(rows)
@@ -277,3 +307,20 @@ def _combined(
         kept[(np.abs(N) > NEGLIGIBLE).astype(float) @ ~is_known > 0] = np.nan
     result[:, combined] = kept
     return result
+
+
+def _at_bottoms(
+    J: FloatArray, model: RobotModel, contacts: Contacts, poses: LinkPoses, up: FloatArray
+) -> FloatArray:
+    """Return the contact Jacobian (N, 6 F, n) with forces at the lowest points of the balls."""
+    J = J.copy()
+    for index, (name, radius) in enumerate(zip(contacts.frames, contacts.radii, strict=True)):
+        if not radius:
+            continue
+        frame = model.frame(name)
+        axes = poses.rotation[:, frame.link] @ frame.rotation
+        down = -radius * np.einsum("tji,tj->ti", axes, up)
+        # A unit force there has the moment d × e about the origin.
+        moments = J[:, 6 * index : 6 * index + 3]
+        J[:, 6 * index + 3 : 6 * index + 6] += np.einsum("ikt,tin->tkn", skew(down.T), moments)
+    return J

@@ -134,7 +134,7 @@ class ExpectedInformation:
         K = self._rows(samples)
         used = shares(K @ self.values)
         if self.parameters.model.contacts is not None:
-            (K,) = without_contacts(self.parameters.model, samples.position, K)
+            K = without_contacts(self.parameters.model, samples, K)
         return K, used
 
     def _rows(self, samples: Samples) -> FloatArray:

@@ -209,7 +209,7 @@ def _precision(
     B = np.stack(effects, axis=2)
     used = np.arange(robot.dof)
     if expected.parameters.model.contacts is not None:
-        (B,) = without_contacts(expected.parameters.model, samples.position, B)
+        B = without_contacts(expected.parameters.model, samples, B)
         used = expected.parameters.model.contacts.coordinates
     covariance = np.mean(B @ B.swapaxes(1, 2), axis=0)
     if {"viscous", "coulomb"} & set(expected.parameters.terms):

@@ -4,7 +4,7 @@ import logging
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain, islice
+from itertools import islice
 from typing import TypeVar
 
 import numpy as np
@@ -83,13 +83,13 @@ def assumed_contacts(robot: RobotModel, log: Log) -> tuple[str, ...]:
         return ()
     with warn_once(muted=True):
         frames = _standing_frames(robot, log)
-    for kind in ("", ":point") if len(frames) <= FEW else (":point",):
-        contacts = tuple(f"{frame}{kind}" for frame in frames)
+    may_be_surfaces = len(frames) <= FEW and not all(robot.frame(one).radius for one in frames)
+    for kind in ("", ":point") if may_be_surfaces else (":point",):
         try:
-            with_contacts(robot, contacts)
+            found = with_contacts(robot, tuple(f"{frame}{kind}" for frame in frames)).contacts
         except ModelError:
             continue  # unknown wrenches of this kind would explain any motion
-        return contacts
+        return () if found is None else found.names
     return ()
 
 
@@ -132,14 +132,19 @@ def _lowest_ends(robot: RobotModel, segments: Sequence[Segment]) -> tuple[str, .
 
 
 def _ends(robot: RobotModel) -> list[Frame]:
-    """Return a frame at the end of each chain of joints: the farthest that is named like a foot."""
+    """Return a frame at the end of each chain of joints.
+
+    Of frames that are named like a foot, or else of all, it is the farthest ball, or frame.
+    """
     carrying = {joint.parent for joint in robot.joints}
     ends = []
     for link in sorted(set(range(1, len(robot.link_names))) - carrying):
         frames = [frame for frame in robot.frames if frame.link == link]
         feet = [frame for frame in frames if FOOT_WORDS.search(frame.name)]
         own = robot.frame(robot.link_names[link])
-        ends.append(max(chain(feet or frames, [own]), key=_reach))
+        candidates = [*(feet or frames), own]
+        balls = [frame for frame in candidates if frame.radius]
+        ends.append(max(balls or candidates, key=_reach))
     return ends
 
 

@@ -7,6 +7,7 @@ from symbid_ros.errors import OptionError
 from symbid_ros.options import check_values, option
 
 GROUP = "Contacts and wrench sensors"
+LARGEST_RADIUS = 1.0  # m, of a ball that is a foot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +31,9 @@ class ContactOptions:
     contact: tuple[str, ...] = option(
         (),
         "Frames at which something touches the robot without a wrench sensor, as FRAME or, without "
-        "moments, FRAME:point, comma-separated. Their wrenches are eliminated at all times.",
+        "moments, FRAME:point, comma-separated. A foot that is a ball in the model touches the "
+        "ground at its lowest point; FRAME:RADIUS gives another radius, m. Their wrenches are "
+        "eliminated at all times.",
         group=GROUP,
     )
 
@@ -38,9 +41,10 @@ class ContactOptions:
         """Refuse invalid values."""
         check_values(self)
         for name in self.contacts:
-            if name.partition(":")[2] not in ("", "point", "surface"):
+            if not _is_kind(name.partition(":")[2]):
                 raise OptionError(
-                    f"`contact`: {name!r} is no contact; give FRAME or FRAME:point", "E501"
+                    f"`contact`: {name!r} is no contact; give FRAME, FRAME:point or FRAME:RADIUS",
+                    "E501",
                 )
 
     @cached_property
@@ -52,6 +56,15 @@ class ContactOptions:
     def contacts(self) -> tuple[str, ...]:
         """The frames of contacts without a sensor, as FRAME or FRAME:point."""
         return tuple(names(self.contact))
+
+
+def _is_kind(text: str) -> bool:
+    if text in ("", "point", "surface"):
+        return True
+    try:
+        return 0.0 <= float(text) < LARGEST_RADIUS
+    except ValueError:
+        return False
 
 
 def names(values: tuple[str, ...]) -> list[str]:

@@ -11,6 +11,7 @@ from symbid_ros.choices import Base
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import with_all_rows, with_contacts, without_contacts
+from symbid_ros.dynamics.upright import upward
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings, load_estimate
@@ -290,6 +291,7 @@ class ForcePredictor:
             acceleration=joints,
             base_angular_velocity=base,
             base_angular_acceleration=base,
+            upward=upward(samples),
         )
         inertial = slice(0, parameters.inertial)
         K = equation_of_motion(parameters, still).K[..., inertial]
@@ -297,7 +299,7 @@ class ForcePredictor:
         pair[:, 6 * model.floating :, 0] = np.nan_to_num(samples.effort)
         model.fold_followers(pair)
         if model.contacts is not None:
-            (pair,) = without_contacts(model, samples.position, pair, touching=samples.touching)
+            pair = without_contacts(model, still, pair)
         pair[..., 1] = K @ self.unknowns[inertial]
         return pair
 

@@ -55,7 +55,8 @@ class Body:
     """A body of a model file: its pose in its parent, inertia, joints and fixed frames.
 
     ``parent`` is -1 for the root, whose pose and joints are ignored. ``phi`` (10,) is about
-    the body's origin. ``frames`` maps names to (rotation, translation).
+    the body's origin. ``frames`` maps names to (rotation, translation), and ``balls`` names of
+    frames, or of a welded body itself, to the radius of a ball about their origin, m.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Body:
     phi: FloatArray
     joints: tuple[BodyJoint, ...] = ()
     frames: dict[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    balls: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -98,12 +100,13 @@ class _Assembly:
         self.virtual.append(virtual)
         return len(self.names) - 1
 
-    def add_frame(self, name: str, carrier: _Carrier) -> None:
+    def add_frame(self, name: str, carrier: _Carrier, radius: float = 0.0) -> None:
         if name in self.frames:
             raise ModelError(
                 f"{self.source}: frame name {name!r} is used twice; rename one", "E105"
             )
-        self.frames[name] = Frame(name, carrier.link, carrier.rotation, carrier.translation)
+        pose = carrier.rotation, carrier.translation
+        self.frames[name] = Frame(name, carrier.link, *pose, radius)
 
     def add_moving_body(self, body: Body, parent: _Carrier) -> _Carrier:
         placed = parent.place(body.rotation, body.translation)
@@ -162,13 +165,13 @@ def assemble(
             carrier = assembly.add_moving_body(body, carriers[body.parent])
         else:
             carrier = carriers[body.parent].place(body.rotation, body.translation)
-            assembly.add_frame(body.name, carrier)
+            assembly.add_frame(body.name, carrier, body.balls.get(body.name, 0.0))
         carriers.append(carrier)
         assembly.phi[carrier.link] = assembly.phi[carrier.link] + transform_phi(
             body.phi, carrier.rotation, carrier.translation
         )
         for frame, pose in body.frames.items():
-            assembly.add_frame(frame, carrier.place(*pose))
+            assembly.add_frame(frame, carrier.place(*pose), body.balls.get(frame, 0.0))
     followed = {joint.name: joint.mimic for body in bodies for joint in body.joints if joint.mimic}
     joints = _with_leaders(assembly.joints, followed, source)
     links = tuple(

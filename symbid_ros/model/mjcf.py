@@ -11,13 +11,17 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import ModelError
 from symbid_ros.model.bodies import Body, BodyJoint, assemble
 from symbid_ros.model.inertia import phi_from_com
-from symbid_ros.model.mjcf_source import read_mjcf, reduced_mjcf
+from symbid_ros.model.mjcf_source import Shapes, read_mjcf, reduced_mjcf
 from symbid_ros.model.rotation import rotation_from_quaternion
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.xml_file import Element
 
 
 def load_mjcf(path: Path) -> RobotModel:
     """Load an MJCF: its only moving tree, with bodies as links and sites as frames.
+
+    Where a branch of the tree ends in one ball that can touch something, such as a foot, its centre
+    is a frame, too: it has the shape's name, or ``BODY_end``.
 
     The base floats if the root of the tree has a free joint. Bodies welded to the world (a
     floor, a table) are not part of a floating robot.
@@ -55,7 +59,7 @@ def compile_with_shapes(path: Path) -> Any:
     ModelError
         See :func:`load_mjcf`; also when a mesh is missing or outside the model's folder.
     """
-    return _compiled(path, keep_shapes=True)
+    return _compile(read_mjcf(path), path, "all")
 
 
 def body_names(compiled: Any) -> list[str]:
@@ -63,11 +67,20 @@ def body_names(compiled: Any) -> list[str]:
     return [compiled.body(body).name or f"body_{body}" for body in range(compiled.nbody)]
 
 
-def _compiled(path: Path, *, keep_shapes: bool = False) -> Any:
+def _compiled(path: Path) -> Any:
+    root = read_mjcf(path)
+    try:
+        return _compile(root, path, "simple")
+    except ModelError:
+        # A shape may take its mesh from a default class; the error, if any, is of what is needed.
+        return _compile(root, path, "none")
+
+
+def _compile(root: Element, path: Path, shapes: Shapes) -> Any:
     # The core runs without MuJoCo, which only parses MJCF, so it is imported on first use.
     import mujoco  # noqa: PLC0415
 
-    reduced = reduced_mjcf(read_mjcf(path), path.parent, keep_shapes=keep_shapes)
+    reduced = reduced_mjcf(root, path.parent, shapes)
     # Warnings concern simulation; MuJoCo would write them to the working directory.
     handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda warning: None)
@@ -85,6 +98,7 @@ class _Reader:
     """Reads a compiled MuJoCo model."""
 
     FREE, BALL, SLIDE, HINGE = range(4)
+    SPHERE, CAPSULE = 2, 3  # types of shapes
 
     def __init__(self, compiled: Any, source: str) -> None:
         self.m = compiled
@@ -132,6 +146,7 @@ class _Reader:
         inertia_axes = rotation_from_quaternion(m.body_iquat[body])
         central = inertia_axes @ np.diag(m.body_inertia[body]) @ inertia_axes.T
         at_root = body == root
+        end, radius = self._ball(body)
         return Body(
             self.names[body],
             -1 if at_root else index[int(m.body_parentid[body])],
@@ -139,7 +154,8 @@ class _Reader:
             np.array(m.body_pos[body]),
             phi_from_com(float(m.body_mass[body]), np.array(m.body_ipos[body]), central),
             () if at_root else tuple(self._joint(j) for j in self._joint_ids(body)),
-            self._sites[body],
+            self._sites[body] | end,
+            radius,
         )
 
     @cached_property
@@ -163,6 +179,42 @@ class _Reader:
                 name = f"{name}:site"
             sites[body][name] = (rotations[site], np.array(position))
         return sites
+
+    def _ball(self, body: int) -> tuple[dict[str, tuple[FloatArray, FloatArray]], dict[str, float]]:
+        """Return the frame and the radius of the only ball of a body, if nothing moves beyond it.
+
+        The ball can touch things. It may be the far end of a capsule.
+        """
+        m = self.m
+        touches = (m.geom_contype != 0) | (m.geom_conaffinity != 0)
+        shapes = np.flatnonzero((m.geom_bodyid == body) & touches)
+        kinds = m.geom_type[shapes]
+        balls = shapes[kinds == (self.SPHERE if self.SPHERE in kinds else self.CAPSULE)]
+        if body in self._carrying or len(balls) != 1:
+            return {}, {}
+        (ball,) = balls.tolist()
+        center, size = np.array(m.geom_pos[ball]), np.array(m.geom_size[ball])
+        if m.geom_type[ball] == self.CAPSULE:
+            half = size[1] * rotation_from_quaternion(np.array(m.geom_quat[ball]))[:, 2]
+            center = max(center + half, center - half, key=np.linalg.norm)
+        name = m.geom(ball).name or f"{self.names[body]}_end"
+        if name in self._frame_names:
+            return {}, {}
+        return {name: (np.eye(3), center)}, {name: float(size[0])}
+
+    @cached_property
+    def _carrying(self) -> set[int]:
+        """The world and all bodies beyond which a joint moves another one."""
+        carrying = {0}
+        for body in np.flatnonzero(self.m.body_jntnum).tolist():
+            while (body := int(self.m.body_parentid[body])) not in carrying:
+                carrying.add(body)
+        return carrying
+
+    @cached_property
+    def _frame_names(self) -> set[str]:
+        m = self.m
+        return {*self.names, *(m.site(site).name for site in range(m.nsite))}
 
     @staticmethod
     def _is_origin(rotation: FloatArray, position: FloatArray) -> bool:

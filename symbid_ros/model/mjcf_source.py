@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -230,11 +231,14 @@ class ReducedMjcf:
         return self.places[line - 1] if 0 < line <= len(self.places) else match[0]
 
 
-def reduced_mjcf(root: Element, folder: Path, *, keep_shapes: bool = False) -> ReducedMjcf:
-    """Reduce a model to bodies, joints, inertias, sites and motors.
+# Which shapes of bodies stay that state their inertia: those without a mesh, which may be missing.
+Shapes = Literal["none", "simple", "all"]
 
-    Unless ``keep_shapes`` is given, shapes and their meshes stay only where a body takes its
-    inertia from them, so other meshes need not exist.
+
+def reduced_mjcf(root: Element, folder: Path, shapes: Shapes = "none") -> ReducedMjcf:
+    """Reduce a model to bodies, joints, inertias, sites, motors and some shapes.
+
+    Shapes and their meshes always stay where a body takes its inertia from them.
 
     Parameters
     ----------
@@ -242,8 +246,8 @@ def reduced_mjcf(root: Element, folder: Path, *, keep_shapes: bool = False) -> R
         Result of :func:`read_mjcf`.
     folder : Path
         Folder of the model.
-    keep_shapes : bool
-        Whether all shapes of bodies stay.
+    shapes : {"none", "simple", "all"}
+        Which shapes stay of bodies that state their inertia; ``simple`` ones have no mesh.
 
     Raises
     ------
@@ -252,9 +256,9 @@ def reduced_mjcf(root: Element, folder: Path, *, keep_shapes: bool = False) -> R
         outside ``folder``.
     """
     compiler = {key: value for part in root.iterfind("compiler") for key, value in part.items()}
-    needs_shapes = keep_shapes or compiler.get("inertiafromgeom") == "true"
+    kept = "all" if compiler.get("inertiafromgeom") == "true" else shapes
     reduced = _copied(root)
-    reduced.extend(_section(one, needs_shapes) for one in root if one.tag not in _OMITTED_SECTIONS)
+    reduced.extend(_section(one, kept) for one in root if one.tag not in _OMITTED_SECTIONS)
     meshes = _read_meshes(reduced, folder, compiler)
     # MuJoCo finds the range of a muscle by simulation, which may take arbitrarily long.
     no_ranges = Element("lengthrange", mode="none")
@@ -266,7 +270,7 @@ def reduced_mjcf(root: Element, folder: Path, *, keep_shapes: bool = False) -> R
     return ReducedMjcf("\n".join(lines), tuple(places), meshes)
 
 
-def _section(section: ET.Element, needs_shapes: bool) -> Element:
+def _section(section: ET.Element, shapes: Shapes) -> Element:
     """Return the parts of a section that determine the tree and the inertias."""
     copy = _copied(section)
     if section.tag == "compiler":
@@ -277,24 +281,28 @@ def _section(section: ET.Element, needs_shapes: bool) -> Element:
     elif section.tag == "actuator":
         copy.extend(_copied(drive) for drive in section if "joint" in drive.attrib)
     else:
-        _copy_parts(section, copy, _OMITTED_PARTS.get(section.tag, set()), needs_shapes)
+        _copy_parts(section, copy, _OMITTED_PARTS.get(section.tag, set()), shapes)
     return copy
 
 
-def _copy_parts(source: ET.Element, copy: Element, left_out: set[str], needs_shapes: bool) -> None:
+def _copy_parts(
+    source: ET.Element, copy: Element, left_out: set[str], shapes: Shapes, *, simple: bool = False
+) -> None:
+    """Copy the children of an element, of its shapes only ``simple`` ones if that is given."""
     for child in source:
-        if child.tag in left_out:
+        if child.tag in left_out or (simple and child.tag == "geom" and "mesh" in child.attrib):
             continue
         below = _copied(child)
         # Materials are omitted, so references to them must go.
         below.attrib.pop("material", None)
         copy.append(below)
         if child.tag == "body":
-            has_inertia = not needs_shapes and _states_inertia(child)
-            left_out_below = {"camera", "light", *(["geom"] if has_inertia else [])}
-            _copy_parts(child, below, left_out_below, needs_shapes)
+            has_inertia = shapes != "all" and _states_inertia(child)
+            no_shapes = has_inertia and shapes == "none"
+            left_out_below = {"camera", "light", *(["geom"] if no_shapes else [])}
+            _copy_parts(child, below, left_out_below, shapes, simple=has_inertia)
         else:
-            _copy_parts(child, below, left_out, needs_shapes)
+            _copy_parts(child, below, left_out, shapes, simple=simple)
 
 
 def _states_inertia(body: ET.Element) -> bool:

@@ -118,12 +118,15 @@ class Frame:
         Index of the link that carries it.
     rotation, translation : (3, 3) and (3,) float64
         Pose of the frame in the link's frame.
+    radius : float
+        Of the ball about its origin that can touch the ground, m; zero if there is none.
     """
 
     name: str
     link: int
     rotation: FloatArray
     translation: FloatArray
+    radius: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -135,9 +138,12 @@ class Contacts:
     Attributes
     ----------
     names : tuple of str
-        ``FRAME``, or ``FRAME:point`` for a contact without moments.
+        ``FRAME``, ``FRAME:point`` for a contact without moments, or ``FRAME:RADIUS`` for one at the
+        bottom of a ball.
     frames : tuple of str
         The F frames.
+    radii : (F,) float64
+        Of the balls about their origins that touch the ground, m; zero elsewhere.
     components : (r,) int64
         Independent ones of the wrenches' 6 F components, angular first.
     damping : float
@@ -154,6 +160,7 @@ class Contacts:
 
     names: tuple[str, ...]
     frames: tuple[str, ...]
+    radii: FloatArray
     components: IntArray
     damping: float
     coordinates: IntArray

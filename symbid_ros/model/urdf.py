@@ -2,6 +2,8 @@
 
 import sys
 import xml.etree.ElementTree as ET
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +24,7 @@ _MOVING: dict[str, Literal["revolute", "prismatic"]] = {
     "prismatic": "prismatic",
 }
 _SHORTEST_AXIS = 1e-9
+AT_ORIGIN = 1e-3  # m between a frame's origin and the centre of its ball
 _PRODUCTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -137,6 +140,31 @@ class UrdfReader:
         index = len(out) - 1
         for child in self.children[name]:
             self._descend([*chain, self._end(child, "child")], index, child, out)
+        if parent >= 0 and not any(body.joints for body in out[index + 1 :]):
+            out[index] = self._with_ball(out[index])
+
+    def _with_ball(self, body: Body) -> Body:
+        """Return a body beyond which nothing moves with the only ball that can touch things.
+
+        A ball about the origin of a welded body belongs to that body's frame. Another one has a
+        frame of its own, ``LINK_end``.
+        """
+        balls = []
+        for collision in self.links[body.name].findall("collision"):
+            sphere = collision.find("geometry/sphere")
+            with suppress(ModelError):  # shapes may be wrong where they are not needed
+                radius = self._number(sphere, "radius", LARGEST)
+                if radius:
+                    balls.append((self.pose(collision)[1], radius))
+        if len(balls) != 1 or balls[0][1] < 0:
+            return body
+        ((center, radius),) = balls
+        if not body.joints and np.linalg.norm(center) < AT_ORIGIN:
+            return replace(body, balls={body.name: radius})
+        end = f"{body.name}_end"
+        if end in self.links:
+            return body
+        return replace(body, frames={end: (np.eye(3), center)}, balls={end: radius})
 
     def _body_joints(self, joint: ET.Element) -> tuple[BodyJoint, ...]:
         name, kind = self._name(joint), joint.get("type", "")

@@ -242,11 +242,11 @@ def without_wrist_sensors(model: RobotModel, kept: Container[str] = ()) -> Robot
 
 
 def _moved(frame: Frame, place: _Place) -> Frame:
-    return Frame(
-        frame.name,
-        place.link,
-        place.rotation @ frame.rotation,
-        place.rotation @ frame.translation + place.translation,
+    return replace(
+        frame,
+        link=place.link,
+        rotation=place.rotation @ frame.rotation,
+        translation=place.rotation @ frame.translation + place.translation,
     )
 
 

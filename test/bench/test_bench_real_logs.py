@@ -5,6 +5,7 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import further_data
@@ -16,6 +17,7 @@ import real_logs
 from quadruped_log import FEET, quadruped_urdf
 from real_log_files import arm, motion, torque, write_table
 from real_logs import ALL_DATA as REAL_DATA
+from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
 from symbid_ros.dynamics.contact import contact_jacobian
@@ -257,17 +259,46 @@ def test_the_clock_of_the_a1_follows_from_positions_and_velocities() -> None:
     np.testing.assert_allclose(found, time - time[0], atol=0.01 * time[-1])
 
 
-def test_forces_at_named_contacts_change_no_projected_force(tmp_path) -> None:
+@pytest.mark.parametrize("radius", [0.0, 0.05])
+def test_forces_at_named_contacts_change_no_projected_force(tmp_path, radius) -> None:
     path = tmp_path / "quadruped.urdf"
     path.write_text(quadruped_urdf())
     robot = sy.load_model(path, "floating")
+    frames = tuple(
+        replace(frame, radius=radius) if frame.name in FEET else frame for frame in robot.frames
+    )
+    robot = replace(robot, frames=frames)
     q = RNG.uniform(-0.5, 0.5, (5, len(robot.measured_joint_names)))
-    P = least_squares.contact_projections(robot, q, FEET)
-    J = contact_jacobian(robot, FEET, link_poses(robot, q)).reshape(5, len(FEET), 6, -1)[:, :, 3:]
-    np.testing.assert_allclose(np.einsum("tij,tfaj->tifa", P, J), 0.0, atol=1e-9)
+    above = Rotation.random(5, rng=RNG).as_matrix()[:, 2]
+    P = least_squares.contact_projections(robot, q, FEET, above)
+    poses = link_poses(robot, q)
+    forces = RNG.normal(size=(5, len(FEET), 3))
+    wrenches = np.zeros((5, len(FEET), 6))
+    for index, frame in enumerate(map(robot.frame, FEET)):
+        axes = poses.rotation[:, frame.link] @ frame.rotation
+        in_base = np.einsum("tij,tj->ti", axes, forces[:, index])
+        moment = np.cross(-radius * above, in_base)
+        wrenches[:, index, :3] = np.einsum("tji,tj->ti", axes, moment)
+        wrenches[:, index, 3:] = forces[:, index]
+    J = contact_jacobian(robot, FEET, poses).reshape(5, len(FEET), 6, -1)
+    acting = np.einsum("tfan,tfa->tn", J, wrenches)
+    np.testing.assert_allclose(np.einsum("tij,tj->ti", P, acting), 0.0, atol=1e-9)
     # A projection's trace is its rank.
     rank = robot.dof - 3 * len(FEET)
     np.testing.assert_allclose(np.trace(P, axis1=1, axis2=2), rank)
+
+
+@pytest.mark.parametrize("seconds", [4.0, 10.0])
+def test_the_mean_specific_force_points_upwards(seconds) -> None:
+    """A base that turns about a horizontal axis, and moves to and fro once in four seconds."""
+    time = np.arange(0, seconds, 0.01)
+    angle = 0.4 * np.sin(5 * time)
+    rate = np.stack([2 * np.cos(5 * time), 0 * time, 0 * time], axis=1)
+    above = np.stack([0 * time, np.sin(angle), np.cos(angle)], axis=1)
+    forwards = np.stack([np.sin(np.pi * time / 2), 0 * time, 0 * time], axis=1)
+    found = least_squares.upward(sy.BaseMotion(rate, 0 * rate, 9.81 * above + forwards), 0.01)
+    whole = time < 4.0 * (seconds // 4.0)
+    np.testing.assert_allclose(found[whole], above[whole], atol=0.02)
 
 
 def test_rows_near_pauses_are_left_out() -> None:

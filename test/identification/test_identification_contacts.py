@@ -95,7 +95,7 @@ def test_efforts_alone_weigh_a_robot_on_its_feet(robot, true_robot, readings, tm
 
 
 def test_a_robot_without_wrench_sensors_is_assumed_to_stand_on_its_legs(
-    robot, readings, caplog, simulated
+    robot, readings, caplog, simulated, tmp_path
 ):
     log = log_of(robot, readings)
     assert assumed_contacts(robot, log) == POINTS
@@ -105,6 +105,15 @@ def test_a_robot_without_wrench_sensors_is_assumed_to_stand_on_its_legs(
     checked = diagnose(robot, log)
     assert not checked.severity
     assert "LF_foot, RF_foot, LH_foot, RH_foot are unknown" in " ".join(checked.left_out)
+    # The feet may be balls.
+    text = quadruped_urdf()
+    for foot in FEET:
+        ball = '<collision><geometry><sphere radius="0.02"/></geometry></collision>'
+        text = text.replace(f'<link name="{foot}"/>', f'<link name="{foot}">{ball}</link>')
+    path = tmp_path / "balls.urdf"
+    path.write_text(text)
+    on_balls = tuple(f"{foot}:0.02" for foot in FEET)
+    assert assumed_contacts(load_model(path), log) == on_balls
     # Nothing is assumed of wrenches that are measured, and of efforts that are not.
     assert assumed_contacts(robot, log_of(robot, readings, feet=FEET[:1])) == ()
     silent = np.full_like(readings["/joint_states"]["effort"], np.nan)

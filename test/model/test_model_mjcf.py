@@ -85,6 +85,49 @@ def test_sites_are_frames_unless_they_are_a_bodys_origin(tmp_path):
     assert [frame.name for frame in frames] == ["leg:site"]
 
 
+BALL = '<geom {}type="sphere" size="0.02" pos="0 0 -0.3"/>'
+CAPSULE = '<geom name="shin" type="capsule" size="0.03 0.1" pos="0 0 -0.1"/>'
+
+
+@pytest.mark.parametrize(
+    ("shapes", "frame", "place", "radius"),
+    [
+        (BALL.format('name="foot" '), "foot", -0.3, 0.02),
+        (BALL.format(""), "leg_end", -0.3, 0.02),
+        (BALL.format("") + CAPSULE, "leg_end", -0.3, 0.02),
+        (CAPSULE, "shin", -0.2, 0.03),
+        # Shapes with meshes, which need not exist, and shapes that touch nothing.
+        ('<geom type="mesh" mesh="lost"/>' + BALL.format(""), "leg_end", -0.3, 0.02),
+        (BALL.format('contype="0" conaffinity="0" '), None, 0, 0),
+        # Not one ball, or not at the end.
+        (2 * BALL.format(""), None, 0, 0),
+        (BALL.format("") + body("toe", joint=HINGE.format("toe")), None, 0, 0),
+        ('<geom type="box" size="0.1 0.1 0.1"/>', None, 0, 0),
+        # The name is that of another frame.
+        (BALL.format('name="base" '), None, 0, 0),
+    ],
+)
+def test_the_ball_at_the_end_of_a_leg_is_a_frame(tmp_path, shapes, frame, place, radius):
+    leg = body("leg", shapes, HINGE.format("hip"))
+    robot = loaded(tmp_path, body("base", leg, FREE))
+    found = {one.name: one for one in robot.frames}
+    if frame is None:
+        assert not found
+        return
+    assert list(found) == [frame]
+    assert found[frame].radius == radius
+    assert robot.link_names[found[frame].link] == "leg"
+    np.testing.assert_allclose(found[frame].translation, [0, 0, place], atol=1e-12)
+
+
+def test_a_shape_that_cannot_be_compiled_is_left_out(tmp_path):
+    path = tmp_path / "robot.xml"
+    shape = '<default><geom type="mesh" mesh="lost"/></default>'
+    leg = body("leg", "<geom/>", HINGE.format("hip"))
+    path.write_text(f"<mujoco>{shape}<worldbody>{body('base', leg, FREE)}</worldbody></mujoco>")
+    assert load_model(path).link_names == ("base", "leg")
+
+
 def test_bodies_without_a_name_are_numbered(tmp_path):
     bare = f"<body>{HINGE.format('hip')}{INERTIA}</body>"
     assert loaded(tmp_path, body("base", bare, FREE)).link_names == ("base", "body_2")

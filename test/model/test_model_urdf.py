@@ -67,6 +67,38 @@ def test_a_mimic_follows_one_to_one_by_default(tmp_path, inside, multiplier, off
     assert (mimic.leader, mimic.multiplier, mimic.offset) == (0, multiplier, offset)
 
 
+def ball(radius, xyz="0 0 0"):
+    geometry = f'<geometry><sphere radius="{radius}"/></geometry>'
+    return f'<collision><origin xyz="{xyz}"/>{geometry}</collision>'
+
+
+@pytest.mark.parametrize(
+    ("shin", "foot", "expected"),
+    [
+        ("", ball(0.02), {"foot": (0.02, -0.3)}),
+        ("", ball(0.02, "0 0 -.1"), {"foot": (0, -0.3), "foot_end": (0.02, -0.4)}),
+        (ball(0.03, "0 0 -.2"), "", {"foot": (0, -0.3), "shin_end": (0.03, -0.2)}),
+        # Several balls, or none that is valid, are no foot; shapes need not be valid.
+        ("", 2 * ball(0.02), {"foot": (0, -0.3)}),
+        ("", ball(0), {"foot": (0, -0.3)}),
+        ("", ball("large"), {"foot": (0, -0.3)}),
+        ("", ball(-1), {"foot": (0, -0.3)}),
+        ("", "<collision/>", {"foot": (0, -0.3)}),
+    ],
+)
+def test_the_ball_at_the_end_of_a_leg_is_a_frame(tmp_path, shin, foot, expected):
+    robot = loaded(
+        tmp_path,
+        link("trunk", INERTIAL + ball(0.5)),
+        link("shin", INERTIAL + shin),
+        link("foot", foot),
+        joint("knee", "trunk", "shin"),
+        joint("ankle", "shin", "foot", "fixed", '<origin xyz="0 0 -0.3"/>'),
+    )
+    found = {one.name: (one.radius, one.translation[2]) for one in robot.frames}
+    assert found == {name: pytest.approx(values) for name, values in expected.items()}
+
+
 def test_inertias_are_in_the_axes_of_their_origin(tmp_path):
     inertial = (
         '<inertial><origin xyz=".1 .2 .3" rpy=".4 .5 .6"/><mass value="2"/>'
