@@ -156,6 +156,8 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
     theta = np.sqrt(3) * errors.std * rng.uniform(-1, 1, len(errors))
     robot = errors.placed(ParameterSet(stated), theta).model
     on_balls = not setup.has_foot_sensors
+    if on_balls:
+        feet = balls(robot, feet)
     motion = move(robot, feet, rng, setup.seconds, setup.rate, on_balls=on_balls)
     size = np.sqrt(np.mean(torque(plain(robot), motion) ** 2, axis=0))
     size = np.maximum(size, 0.05 * size.max())
@@ -300,6 +302,12 @@ def move(
     effect = levers.transpose(0, 2, 1) @ jacobian[:, :, :6]
     shares = effect @ np.linalg.solve(effect.transpose(0, 2, 1) @ effect, owed[..., None])
     return replace(motion, wrenches=(levers @ shares).reshape(len(time), len(feet), 6))
+
+
+def balls(robot: sy.RobotModel, feet: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the centres of the feet that are balls, and the frames of the others."""
+    centers = {frame.link: frame.name for frame in robot.frames if frame.radius}
+    return tuple(centers.get(robot.frame(foot).link, foot) for foot in feet)
 
 
 def held_wrenches(robot: sy.RobotModel, motion: Samples) -> FloatArray:

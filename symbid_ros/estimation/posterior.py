@@ -33,9 +33,12 @@ MAX_NOISE_SHARE = 0.75
 # half of the digits suffice.
 NEGLIGIBLE_EXCESS = 1e-6
 
-# Directions with less information than this, absolute (in prior deviations) or relative to the
-# best one, are not used to judge the prior.
-MIN_INFORMATION, MIN_RELATIVE_INFORMATION = 1e-6, 1e-12
+# Share of the largest information below which a direction is rounding.
+MIN_RELATIVE_INFORMATION = 1e-12
+# Information below which a direction does not judge the prior, as the data know it to ten prior
+# deviations only. A small effect that the model lacks would claim that the prior is wrong a
+# hundredfold.
+MIN_INFORMATION = 1e-2
 
 
 @dataclass(frozen=True)
@@ -299,7 +302,7 @@ class _Square:
         # where H is G without the regressor's noise.
         H, gradient = R.T @ R - np.diag(ones), R.T @ (R @ x)
         values, V = np.linalg.eigh(self.G)
-        some = values > max(MIN_INFORMATION, MIN_RELATIVE_INFORMATION * values[-1])
+        some = values > MIN_RELATIVE_INFORMATION * values[-1]
         root = V[:, some] / np.sqrt(values[some])
         A, b = root.T @ H, root.T @ gradient
         others = len(self.g) - count
@@ -307,7 +310,9 @@ class _Square:
         rows = np.column_stack([A[:, count:], A[:, :count], b])
         of_prior = np.eye(others, rows.shape[1])
         left = stacked_factor(rows, of_prior)[others:, others:]
-        return PriorEvidence(left[:, :-1], left[:, -1])
+        U, values, Vt = np.linalg.svd(left[:, :-1], full_matrices=False)
+        judges = values**2 > MIN_INFORMATION
+        return PriorEvidence(values[judges, None] * Vt[judges], U[:, judges].T @ left[:, -1])
 
 
 def posterior(

@@ -176,7 +176,8 @@ def test_comparisons_have_half_of_the_digits(name, empirical, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["plain", "correlated prior", "weighed", "masked"])
-def test_the_evidence_is_that_of_all_rows_at_once(name):
+def test_the_evidence_is_that_of_all_rows_at_once(name, monkeypatch):
+    monkeypatch.setattr(production, "MIN_INFORMATION", 1e-6)
     log, prior, known = case(3, count=40, **CASES[name])
     for misjudged in (0.2, 5.0):
         wrong = prior.widened(np.full(len(prior.std), misjudged))
@@ -192,6 +193,30 @@ def test_the_evidence_is_that_of_all_rows_at_once(name):
         assert found.prior_scale == pytest.approx(expected, rel=1e-3)
         # Too wide a prior is told to shrink, too narrow a one to grow.
         assert (found.prior_scale > 1) == (misjudged < 1)
+
+
+def test_what_the_data_hardly_know_does_not_judge_the_prior(monkeypatch):
+    """A small effect that the model lacks looks like a thousand deviations of one parameter."""
+    log, prior, _ = case(6, count=200)
+    truth = log.parameters.values
+    prior = scattered(prior, truth, np.random.default_rng(6))
+    without = posterior(log.observations(), prior, empirical=True)
+    place = 1  # of a first moment
+    column = log.K[:, :, place]
+    # Unlike the columns of the others, which could explain it.
+    weak = np.random.default_rng(7).normal(size=column.shape) * (column != 0)
+    precision = np.linalg.inv(without.covariance)
+    information = prior.std[place] ** 2 * np.einsum("ti,ij,tj->", weak, precision, weak)
+    weak *= np.sqrt(5e-4 / information)
+    K, effect = log.K.copy(), 1000 * prior.std[place] * weak
+    K[:, :, place] = weak
+    unlike = replace(log, K=K, y=log.y + (weak - column) * truth[place] + effect)
+    found = posterior(unlike.observations(), prior, empirical=True)
+    assert found.chosen_scale == pytest.approx(without.chosen_scale, rel=0.3)
+    assert abs(found.mean - prior.mean)[place] < prior.std[place]
+    # The same effect in a direction that the data know is a wrong prior.
+    monkeypatch.setattr(production, "MIN_INFORMATION", 1e-6)
+    assert posterior(unlike.observations(), prior, empirical=True).chosen_scale > 10
 
 
 @pytest.mark.parametrize("beyond", [0, 10])
