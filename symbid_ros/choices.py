@@ -7,7 +7,9 @@ Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
 Filter = Literal["weak", "butterworth", "savitzky_golay"]
 Channels = Literal["all", "thesis"]
 Criterion = Literal["gen_force", "torque", "com"]
-Term = Literal["viscous", "coulomb", "armature", "offset", "stribeck", "load", "presliding"]
+Term = Literal[
+    "viscous", "coulomb", "armature", "offset", "stribeck", "load", "presliding", "stiffness"
+]
 Scenario = Literal[
     "smooth", "wide", "squat", "vibrating", "one_leg", "stepping", "suspended", "tare"
 ]
@@ -74,6 +76,10 @@ JOINT_TERMS: dict[Term, JointTerm] = {
     "stribeck": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, False),
     "load": JointTerm(("Nm/Nm", "N/N"), None, 0.1, 0, 0.1, True),
     "presliding": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, True),
+    "stiffness": JointTerm(("Nm/rad", "N/m"), "stiffness", 1.0, 2, 0.3, True),
 }
+# Candidates only on robots whose model file states one, because few have it; the data are searched
+# for it otherwise.
+SPRING: Term = "stiffness"
 # Terms that act only while a joint slips. A sticking joint has static friction in their place.
 SLIDING_TERMS: frozenset[Term] = frozenset({"coulomb", "stribeck", "load", "presliding"})

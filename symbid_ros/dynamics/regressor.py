@@ -375,6 +375,8 @@ def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, Float
             samples.velocity, parameters.model.joints, sliding_column(samples)
         ),
         "presliding": presliding_column(samples, parameters.model.joints),
+        "stiffness": samples.position
+        - np.array([joint.spring_reference for joint in parameters.model.joints]),
     }
 
 

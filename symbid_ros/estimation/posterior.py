@@ -35,10 +35,10 @@ NEGLIGIBLE_EXCESS = 1e-6
 
 # Share of the largest information below which a direction is rounding.
 MIN_RELATIVE_INFORMATION = 1e-12
-# Information below which a direction does not judge the prior, as the data know it to ten prior
-# deviations only. A small effect that the model lacks would claim that the prior is wrong a
-# hundredfold.
-MIN_INFORMATION = 1e-2
+# Information below which a direction judges the prior with a limited weight, as the data know it to
+# ten prior deviations only: its pull counts as this many deviations at most. A small effect that
+# the model lacks would claim alone that the prior is wrong a hundredfold.
+WEAK_INFORMATION, MOST_PULL = 1e-2, 6.0
 
 
 @dataclass(frozen=True)
@@ -311,8 +311,9 @@ class _Square:
         of_prior = np.eye(others, rows.shape[1])
         left = stacked_factor(rows, of_prior)[others:, others:]
         U, values, Vt = np.linalg.svd(left[:, :-1], full_matrices=False)
-        judges = values**2 > MIN_INFORMATION
-        return PriorEvidence(values[judges, None] * Vt[judges], U[:, judges].T @ left[:, -1])
+        pull = U.T @ left[:, -1]
+        most = np.where(values**2 < WEAK_INFORMATION, MOST_PULL, np.inf)
+        return PriorEvidence(values[:, None] * Vt, np.clip(pull, -most, most))
 
 
 def posterior(

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.choices import Term
+from symbid_ros.choices import SPRING, Term
 from symbid_ros.estimation.group_moments import CoordinateMoments, GroupMoments
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
@@ -259,6 +259,17 @@ def ripple_torques(parameters: ParameterSet) -> dict[Ripple, Effect]:
     return {
         ripple: Effect((columns.start, columns.start + 1), (first + ripple.joint,))
         for ripple, columns in parameters.ripple_columns.items()
+    }
+
+
+def spring_torques(parameters: ParameterSet) -> dict[int, Effect]:
+    """Return the effects of springs by joint: with its offset, a spring is relaxed anywhere."""
+    first = 6 * parameters.model.floating
+    columns = [parameters.term_columns[term] for term in (SPRING, "offset")]
+    return {
+        joint: Effect(tuple(one.start + index for one in columns), (first + joint,))
+        for index, joint in enumerate(parameters.joints.tolist())
+        if joint not in parameters.model.followers
     }
 
 

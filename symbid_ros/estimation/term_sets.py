@@ -25,7 +25,7 @@ from symbid_ros.model.parameters import ParameterSet
 ENTER = 3.4
 # By how much more a term must add that resembles the friction of every drive, viscous and Coulomb.
 RARE = 2.0
-RARE_TERMS: frozenset[Term] = frozenset({"stribeck", "load", "presliding"})
+RARE_TERMS: frozenset[Term] = frozenset({"stribeck", "load", "presliding", "stiffness"})
 # By how much less a term must add that was chosen before, so that a live choice does not alternate.
 STAY = 1.8
 # Smallest cost of a term that all other drives have: 0.7 standard deviations.

@@ -15,7 +15,7 @@ from symbid_ros.choices import JOINT_TERMS, Base
 from symbid_ros.errors import EstimateError, ModelError
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, load_estimate
 from symbid_ros.model.export_mjcf import updated_mjcf
-from symbid_ros.model.export_urdf import urdf_text, with_nonnegative_terms
+from symbid_ros.model.export_urdf import UNWRITTEN, urdf_text, with_nonnegative_terms
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.load import is_mjcf, load_model
 from symbid_ros.model.mjcf import load_mjcf
@@ -30,7 +30,7 @@ PLACEMENT = 1e-6
 # The same of parameters that are read back, relative to the largest of their kind.
 READ_BACK = 1e-9
 MARK = "symbid_ros:"
-TERMS = ("damping", "friction_loss", "armature")
+TERMS = ("damping", "friction_loss", "armature", "stiffness")
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def unheld_terms(estimate: Estimate, mjcf: bool) -> tuple[str, ...]:
     return tuple(
         term
         for term, traits in JOINT_TERMS.items()
-        if term in kinds and (traits.field is None or (traits.field == "armature" and not mjcf))
+        if term in kinds and (traits.field is None or (traits.field in UNWRITTEN and not mjcf))
     )
 
 
@@ -141,7 +141,7 @@ def identified_robot(folder: Path, robot: Path, estimate: Estimate) -> RobotMode
         )
     phi = {link.name: link.phi for link in found.links}
     terms = {joint.name: joint for joint in found.joints}
-    kept = TERMS if mjcf else TERMS[:2]  # a URDF has no armature
+    kept = TERMS if mjcf else TERMS[:2]  # a URDF has neither armature nor springs
     joints = tuple(
         replace(joint, **{term: getattr(terms[joint.name], term) for term in kept})
         for joint in source.joints

@@ -54,6 +54,7 @@ EFFECTS = {
     "quadratic": "friction that grows with the square of the speed",
     "load": "friction in proportion to the load",
     "presliding": "friction that lags behind a reversal",
+    "stiffness": "springs at joints",
     "delay": "a delay",
     "torque_gain": "gains of the efforts",
     "encoder_offset": "encoder offsets",
@@ -458,6 +459,7 @@ class _Builder:
             "quadratic": velocity * np.abs(velocity),
             "load": slips * np.abs(effort),
             "presliding": friction_state(readings.position, joints) - slips,
+            "stiffness": readings.position[:, : len(joints)],
             "delay": rate,
             "torque_gain": effort,
         }

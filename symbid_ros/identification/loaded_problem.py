@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from symbid_ros.choices import Method
+from symbid_ros.choices import SPRING, Method
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import reversed_sensors
 from symbid_ros.dynamics.samples import Samples
@@ -61,6 +61,7 @@ from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.result_files import check_output
 from symbid_ros.identification.ripples import find_ripples
 from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.identification.springs import shows_springs
 from symbid_ros.identification.stored_information import (
     check_layout,
     columns_of,
@@ -254,6 +255,7 @@ def load_problem(
         options, inputs, parameters, prior, dataset=dataset, tares=tares, checks=checks
     )
     for searches, find in (
+        (options.finds_springs, _with_springs),
         (options.finds_couplings, _with_couplings),
         (options.finds_ripples, _with_ripples),
     ):
@@ -278,6 +280,13 @@ def _with_couplings(parameters: ParameterSet, solver: Solver, dataset: Dataset) 
     """Return the parameters with the couplings that a log shows."""
     found = find_couplings(solver, dataset)
     return replace(parameters, couplings=found) if found else parameters
+
+
+def _with_springs(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
+    """Return the parameters with the stiffness of joints if a log shows springs."""
+    if not shows_springs(solver, dataset):
+        return parameters
+    return replace(parameters, terms=(*parameters.terms, SPRING))
 
 
 def _with_ripples(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:

@@ -10,6 +10,7 @@ from symbid_ros.choices import (
     GAUSSIAN,
     KINEMATIC_ERRORS,
     SENSOR_ERROR_KINDS,
+    SPRING,
     TERMS,
     TYPICAL_ERRORS,
     Channels,
@@ -336,7 +337,8 @@ class IdentifyOptions(ContactOptions):
         """Joint terms to identify, or the candidates if the data choose."""
         if self.chooses_terms:
             # Friction that depends on the load needs the wrenches of contacts.
-            return tuple(term for term in TERMS if term != "load" or not self.contacts)
+            left_out = {SPRING} | ({"load"} if self.contacts else set())
+            return tuple(term for term in TERMS if term not in left_out)
         named = set(self._named_terms) | {
             term for flag, terms in FLAGS.items() if getattr(self, flag) for term in terms
         }
@@ -447,6 +449,11 @@ class IdentifyOptions(ContactOptions):
     def finds_ripples(self) -> bool:
         """Whether torques that repeat in a turn are searched for in the log."""
         return not self.ripples and self._searches
+
+    @property
+    def finds_springs(self) -> bool:
+        """Whether springs beside the drives are searched for in the log."""
+        return self.chooses_terms and self._searches
 
     @property
     def finds_compliance(self) -> bool:

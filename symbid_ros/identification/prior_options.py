@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from symbid_ros.choices import SPRING
 from symbid_ros.errors import EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.constraints import mirror_rows, total_mass_row
@@ -38,9 +39,11 @@ def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet
     if options.chooses_terms and options.information is not None:
         parameters = columns_of(robot, load_archive(options.information))
     else:
+        has_springs = any(joint.stiffness for joint in robot.joints)
+        springs = (SPRING,) if options.chooses_terms and has_springs else ()
         parameters = ParameterSet(
             robot,
-            options.terms,
+            (*options.terms, *springs),
             candidates=options.chooses_terms,
             couplings=tuple(Coupling.parse(one, robot) for one in options.couplings),
             ripples=tuple(Ripple.parse(one, robot) for one in options.ripples),

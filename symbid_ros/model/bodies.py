@@ -48,6 +48,8 @@ class BodyJoint:
     mimic: tuple[str, float, float] | None = None
     sensor: str = ""
     speed: float = np.inf
+    stiffness: float = 0.0
+    spring_reference: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -131,6 +133,8 @@ class _Assembly:
                     joint.armature,
                     sensor=joint.sensor,
                     speed=joint.speed,
+                    stiffness=joint.stiffness,
+                    spring_reference=joint.spring_reference,
                 )
             )
             name = body.name if last else f"{body.name}:{joint.name}"
@@ -216,7 +220,8 @@ def _check_finite(body: Body, source: str) -> None:
     numbers = [body.phi, *(array for pose in poses for array in pose)]
     for joint in body.joints:
         numbers += [joint.axis, joint.anchor]
-        numbers.append(np.array([joint.damping, joint.friction_loss, joint.armature]))
+        drive = joint.damping, joint.friction_loss, joint.armature
+        numbers.append(np.array([*drive, joint.stiffness, joint.spring_reference]))
     if not all(np.all(np.isfinite(array)) for array in numbers):
         raise ModelError(f"{source}: body {body.name!r} has NaN or infinity; correct it", "E108")
     for joint in body.joints:

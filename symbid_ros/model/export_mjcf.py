@@ -31,7 +31,12 @@ _OVERRIDES = ("balanceinertia", "boundinertia", "boundmass", "settotalmass")
 _ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
 # Attributes of a joint element and the fields of Joint.
-TERMS = {"damping": "damping", "frictionloss": "friction_loss", "armature": "armature"}
+TERMS = {
+    "damping": "damping",
+    "frictionloss": "friction_loss",
+    "armature": "armature",
+    "stiffness": "stiffness",
+}
 
 
 def mjcf_text(
@@ -169,6 +174,8 @@ def _add_body(elements: dict[int, ET.Element], model: RobotModel, chain: list[in
         for key, field in TERMS.items():
             if value := getattr(joint, field):
                 element.set(key, repr(float(value)))
+        if joint.stiffness and joint.spring_reference:
+            element.set("springref", repr(float(joint.spring_reference)))
     return body
 
 

@@ -23,7 +23,14 @@ _UNLIMITED = 1e9
 # SI units; a solver returns friction and armature this small instead of zero.
 NEGLIGIBLE = 1e-9
 # Names of joint terms for users, and the fields of Joint.
-TERMS = {"damping": "damping", "friction": "friction_loss", "armature": "armature"}
+TERMS = {
+    "damping": "damping",
+    "friction": "friction_loss",
+    "armature": "armature",
+    "stiffness": "stiffness",
+}
+# Those that a URDF cannot hold.
+UNWRITTEN = "armature", "stiffness"
 
 
 def urdf_text(
@@ -57,10 +64,13 @@ def urdf_text(
 
 
 def unwritten(model: RobotModel) -> tuple[str, ...]:
-    """Return the values that a URDF cannot hold: negative friction, and armature."""
-    armature = [f"{j.name} {j.armature:.6g}" for j in model.joints if j.armature > NEGLIGIBLE]
-    listed = f"armature, not part of a URDF: {', '.join(armature)}" if armature else ""
-    return tuple(filter(None, (negative_terms(model), listed)))
+    """Return the values that a URDF cannot hold: negative friction, armature and springs."""
+    lists = []
+    for field in UNWRITTEN:
+        values = [(joint.name, getattr(joint, field)) for joint in model.joints]
+        if some := [f"{name} {value:.6g}" for name, value in values if value > NEGLIGIBLE]:
+            lists.append(f"{field}, not part of a URDF: {', '.join(some)}")
+    return tuple(filter(None, (negative_terms(model), *lists)))
 
 
 def _updated(model: RobotModel, source: Path, before: RobotModel) -> str:

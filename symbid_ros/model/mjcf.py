@@ -248,6 +248,8 @@ class _Reader:
             float(m.dof_damping[m.jnt_dofadr[joint]]),
             float(m.dof_frictionloss[m.jnt_dofadr[joint]]),
             float(m.dof_armature[m.jnt_dofadr[joint]]),
+            stiffness=float(m.jnt_stiffness[joint]),
+            spring_reference=float(m.qpos_spring[m.jnt_qposadr[joint]]),
         )
 
     @cached_property

@@ -39,7 +39,7 @@ _REJECTED = {
 _NAMES = {"name", "class", "childclass", "joint", "body", "site", "geom", "mesh", "file", "model"}
 _BOUNDED = {
     *("pos", "mass", "diaginertia", "fullinertia", "size", "fromto", "density"),
-    *("damping", "frictionloss", "armature", "ref"),
+    *("damping", "frictionloss", "armature", "ref", "stiffness", "springref"),
 }
 # Attributes of assets, compiler settings and skins that name files or folders.
 _FILES = {"file", "fileup", "filedown", "fileleft", "fileright", "filefront", "fileback"}

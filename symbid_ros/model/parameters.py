@@ -33,11 +33,12 @@ class ParameterSet:
     ----------
     model : RobotModel
         The robot.
-    terms : tuple of {"viscous", "coulomb", "armature", "offset", "stribeck", "load", "presliding"}
+    terms : tuple of str
         Terms that a drive adds to its joint's row: viscous q̇, Coulomb sign(q̇), armature q̈
         (the reflected inertia of rotor and gear), a constant offset, Stribeck friction
-        sign(q̇) exp(-|q̇|/v), Coulomb friction in proportion to the load, sign(q̇) |τ|, and the
-        lag of friction after a reversal. They are sorted in this order.
+        sign(q̇) exp(-|q̇|/v), Coulomb friction in proportion to the load, sign(q̇) |τ|, the lag of
+        friction after a reversal (presliding), and the stiffness of a spring, q - q₀. They are
+        sorted in this order.
     candidates : bool
         Whether the terms are candidates, of which the data choose some for each joint.
     couplings : tuple of Coupling

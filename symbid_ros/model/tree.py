@@ -80,6 +80,9 @@ class Joint:
     damping, friction_loss, armature : float
         Viscous friction (Nm s/rad or N s/m), Coulomb friction (Nm or N) and the inertia of
         rotor and gear reflected to the joint (kg m² or kg), as given in the file.
+    stiffness, spring_reference : float
+        Of a spring beside the drive, Nm/rad or N/m, and the position in which it is relaxed, rad or
+        m. Only an MJCF can have it.
     mimic : Mimic or None
         The joint that it follows. Its generalised force is added to its leader's.
     sensor : str
@@ -104,6 +107,8 @@ class Joint:
     mimic: Mimic | None = None
     sensor: str = ""
     speed: float = np.inf
+    stiffness: float = 0.0
+    spring_reference: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -167,6 +167,7 @@ def _with_values_of(divided: RobotModel, model: RobotModel) -> RobotModel:
             damping=joints[joint.name].damping,
             friction_loss=joints[joint.name].friction_loss,
             armature=joints[joint.name].armature,
+            stiffness=joints[joint.name].stiffness,
         )
         for joint in divided.joints
     )

@@ -204,7 +204,7 @@ def test_random_trees_obey_pinocchios_regressor(seed, tmp_path):
     assert relative_rmse(left, pinocchio_torque(model, path, samples, rng)) < 1e-11
 
 
-@pytest.mark.parametrize(("terms", "rank"), [((), 80), (("viscous", "coulomb"), 100), (TERMS, 150)])
+@pytest.mark.parametrize(("terms", "rank"), [((), 80), (("viscous", "coulomb"), 100), (TERMS, 160)])
 def test_symbitron_has_the_thesis_base_parameters(terms, rank):
     model = load_model(CONFIG / "symbitron.urdf")
     samples = random_samples(model, 300, np.random.default_rng(3), ())
@@ -219,11 +219,12 @@ def test_joint_columns_are_eq_2_49_with_armature_and_offset():
     samples = random_samples(model, 5, np.random.default_rng(5), ())
     assert np.all(is_slipping(samples.velocity))
     parameters = ParameterSet(model, TERMS)
-    viscous, coulomb, armature, offset, stribeck = np.arange(10.0) + 20 * np.arange(5)[:, None]
-    phi = np.r_[np.zeros(110), viscous, coulomb, armature, offset, stribeck, np.zeros(20)]
+    values = np.arange(10.0) + 20 * np.arange(6)[:, None]
+    viscous, coulomb, armature, offset, stribeck, stiffness = values
+    phi = np.r_[np.zeros(110), values[:5].ravel(), np.zeros(20), stiffness]
     torque = equation_of_motion(parameters, samples).K @ phi
     expected = viscous * samples.velocity + coulomb * np.sign(samples.velocity)
-    expected += armature * samples.acceleration + offset
+    expected += armature * samples.acceleration + offset + stiffness * samples.position
     expected += stribeck * np.sign(samples.velocity) * np.exp(-np.abs(samples.velocity) / 0.2)
     np.testing.assert_array_equal(torque[:, :6], 0)
     np.testing.assert_allclose(torque[:, 6:], expected, rtol=1e-14)

@@ -177,7 +177,7 @@ def test_comparisons_have_half_of_the_digits(name, empirical, monkeypatch):
 
 @pytest.mark.parametrize("name", ["plain", "correlated prior", "weighed", "masked"])
 def test_the_evidence_is_that_of_all_rows_at_once(name, monkeypatch):
-    monkeypatch.setattr(production, "MIN_INFORMATION", 1e-6)
+    monkeypatch.setattr(production, "WEAK_INFORMATION", 0)
     log, prior, known = case(3, count=40, **CASES[name])
     for misjudged in (0.2, 5.0):
         wrong = prior.widened(np.full(len(prior.std), misjudged))
@@ -195,7 +195,7 @@ def test_the_evidence_is_that_of_all_rows_at_once(name, monkeypatch):
         assert (found.prior_scale > 1) == (misjudged < 1)
 
 
-def test_what_the_data_hardly_know_does_not_judge_the_prior(monkeypatch):
+def test_what_the_data_hardly_know_does_not_widen_the_prior_alone(monkeypatch):
     """A small effect that the model lacks looks like a thousand deviations of one parameter."""
     log, prior, _ = case(6, count=200)
     truth = log.parameters.values
@@ -215,7 +215,7 @@ def test_what_the_data_hardly_know_does_not_judge_the_prior(monkeypatch):
     assert found.chosen_scale == pytest.approx(without.chosen_scale, rel=0.3)
     assert abs(found.mean - prior.mean)[place] < prior.std[place]
     # The same effect in a direction that the data know is a wrong prior.
-    monkeypatch.setattr(production, "MIN_INFORMATION", 1e-6)
+    monkeypatch.setattr(production, "WEAK_INFORMATION", 0)
     assert posterior(unlike.observations(), prior, empirical=True).chosen_scale > 10
 
 

@@ -76,7 +76,8 @@ class Case:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("floating", [True, False])
 def test_the_factor_solves_as_the_stacked_problem_does(method, seed, floating):
-    case = Case(seed, floating=floating, terms=TERMS[:-1] if seed == 1 else ())
+    terms = tuple(term for term in TERMS if term != "presliding")
+    case = Case(seed, floating=floating, terms=terms if seed == 1 else ())
     problem = LeastSquares(case.information).scaled(case.prior, method)
     for z in (1, problem.rank // 2, problem.rank):
         expected = case.dense(method, z)

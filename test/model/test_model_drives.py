@@ -119,8 +119,8 @@ def test_only_terms_in_use_have_columns_and_unknown_terms_are_rejected(arm):
     parameters = ParameterSet(arm, ("offset", "coulomb"))
     assert parameters.term_columns == {"coulomb": slice(30, 33), "offset": slice(33, 36)}
     assert len(ParameterSet(arm)) == 30
-    with pytest.raises(ModelError, match="no term 'stiffness'; choose from viscous, coulomb"):
-        ParameterSet(arm, ("viscous", "stiffness"))
+    with pytest.raises(ModelError, match="no term 'inertance'; choose from viscous, coulomb"):
+        ParameterSet(arm, ("viscous", "inertance"))
 
 
 def test_stated_terms_that_are_not_identified_are_known(arm):

@@ -1,0 +1,47 @@
+"""Finds springs beside the drives, when the joints' terms leave residuals.
+
+Cables, hoses and springs add a torque in proportion to the angle of a joint. As for ripples, it
+must improve the prediction of rows that are left out.
+"""
+
+import logging
+from dataclasses import replace
+
+from symbid_ros.choices import SPRING
+from symbid_ros.estimation.term_evidence import predictive_effects, spring_torques
+from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
+from symbid_ros.identification.dataset import Dataset
+from symbid_ros.identification.solver import Solver
+
+logger = logging.getLogger(__name__)
+
+
+def shows_springs(solver: Solver, dataset: Dataset) -> bool:
+    """Return whether a log shows the spring of any joint, and log a warning that names these.
+
+    Parameters
+    ----------
+    solver : Solver
+        Of the log, with chosen joint terms and without springs.
+    dataset : Dataset
+        The log.
+    """
+    choice = solver.problem.choice
+    if choice is None or SPRING in choice.parameters.terms or not leaves_residuals(solver):
+        return False
+    parameters = replace(choice.parameters, terms=(*choice.parameters.terms, SPRING))
+    training = training_part(solver, dataset)
+    trial = try_columns(solver, training, dataset.source, parameters, slips=choice.slips)
+    if trial is None:
+        return False
+    joints = predictive_effects(trial.found, trial.chosen, spring_torques(parameters), trial.free)
+    if not joints:
+        return False
+    named = (parameters.model.joint_names[joint] for joint in sorted(joints))
+    logger.warning(
+        "%s: springs act on %s, and are identified as well; a live run needs `joint_terms` that "
+        "name stiffness",
+        dataset.source,
+        ", ".join(named),
+    )
+    return True
