@@ -241,7 +241,8 @@ def updated_mjcf(
     """
     root = read_mjcf(source)
     elements = [as_element(body) for body in root.iterfind("worldbody//body")]
-    names, stated = file_bodies(source)
+    inertias, robot = file_bodies(source)
+    names = list(inertias)
     model = without_wrist_sensors(model, kept=names)
     named = [element.get("name", body) for element, body in zip(elements, names, strict=False)]
     if len(elements) != len(names) or named != names:
@@ -251,11 +252,17 @@ def updated_mjcf(
         return None
     overridden = _compiler_overrides(root)
     bodies = dict(zip(names, elements, strict=True))
-    for body, phi in updated_bodies(model, stated, rewrite=overridden).items():
+    stated = {name: inertias.get(name, np.zeros(10)) for name in robot}
+    updated = updated_bodies(model, stated, rewrite=overridden)
+    if folder.resolve() != source.parent.resolve() and not in_place:
+        # A model elsewhere is read without the meshes of bodies that state no inertia.
+        bare = {name: phi for name, phi in inertias.items() if _needs_mesh(bodies[name])}
+        updated = bare | updated
+    for body, phi in updated.items():
         inertial = bodies[body].find("inertial")
         if inertial is None and bodies[body].find("frame//inertial") is not None:
             return None
-        _set_inertial(files, bodies[body], nearest_consistent(phi))
+        _set_inertial(files, bodies[body], nearest_consistent(phi) if np.any(phi) else phi)
     if before is not None and not _move_bodies(files, root, bodies, (before, model)):
         return None
     # An element may inherit its terms from a class, so MuJoCo's values are compared.
@@ -307,6 +314,14 @@ class _Files:
         return {place: self.editors[file].text() for file, place in places.items()}
 
 
+def _needs_mesh(body: Element) -> bool:
+    """Return whether a body has an inertia from meshes."""
+    own = [body, *body.findall("frame")]
+    if any(part.find("inertial") is not None for part in own):
+        return False
+    return any("mesh" in shape.attrib for part in own for shape in part.findall("geom"))
+
+
 def _compiler_overrides(root: Element) -> bool:
     """Return whether compiler settings replace the inertias given in the file."""
     return any(
@@ -317,6 +332,9 @@ def _compiler_overrides(root: Element) -> bool:
 
 
 def _set_inertial(files: _Files, body: Element, phi: FloatArray) -> None:
+    if not np.any(phi):  # of a body that only shows something
+        files.editor(body).insert(body, '<inertial mass="0" pos="0 0 0" diaginertia="0 0 0"/>')
+        return
     mass, com, inertia = com_from_phi(phi)
     values = {
         "mass": repr(mass),

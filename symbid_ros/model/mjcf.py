@@ -24,7 +24,8 @@ def load_mjcf(path: Path) -> RobotModel:
     is a frame, too: it has the shape's name, or ``BODY_end``.
 
     The base floats if the root of the tree has a free joint. Bodies welded to the world (a
-    floor, a table) are not part of a floating robot.
+    floor, a table) are not part of a floating robot, and free bodies without joints, such as a box
+    that a robot may grasp, of no robot.
 
     Raises
     ------
@@ -36,11 +37,11 @@ def load_mjcf(path: Path) -> RobotModel:
     return _Reader(_compiled(path), str(path)).model()
 
 
-def file_bodies(path: Path) -> tuple[list[str], dict[str, FloatArray]]:
-    """Return the names of all bodies below the world, and φ (10,) of the robot's bodies.
+def file_bodies(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    """Return φ (10,) of all bodies below the world by name, and the names of the robot's bodies.
 
-    Names are in file order, ``body_<number>`` for a body without a name. φ is about the body's
-    own origin, as MuJoCo compiles it from the file.
+    All are in file order, ``body_<number>`` is a body without a name. φ is about the body's own
+    origin, as MuJoCo compiles it from the file.
 
     Raises
     ------
@@ -48,7 +49,8 @@ def file_bodies(path: Path) -> tuple[list[str], dict[str, FloatArray]]:
         See :func:`load_mjcf`.
     """
     reader = _Reader(_compiled(path), str(path))
-    return reader.names[1:], {body.name: body.phi for body in reader.bodies()[0]}
+    every = {reader.names[body]: reader.phi(body) for body in range(1, reader.m.nbody)}
+    return every, tuple(body.name for body in reader.bodies()[0])
 
 
 def compile_with_shapes(path: Path) -> Any:
@@ -127,24 +129,37 @@ class _Reader:
     def _tree(self) -> tuple[int, list[int]]:
         """Return the root body of the moving tree and all its bodies in file order."""
         m = self.m
-        moving = {int(m.body_rootid[body]) for body in range(1, m.nbody) if m.body_jntnum[body]}
+        moving, objects = set[int](), set[int]()
+        for body in np.flatnonzero(m.body_jntnum).tolist():
+            (objects if self._joint_kinds(body) == [self.FREE] else moving).add(
+                int(m.body_rootid[body])
+            )
+        objects -= moving
+        if not moving:
+            moving, objects = objects, set()
         if not moving:
             raise ModelError(f"{self.source}: no joint moves in this model; add joints", "E114")
         root = moving.pop() if len(moving) == 1 else 0
+        members = [body for body in range(m.nbody) if m.body_rootid[body] not in objects]
         if root == 0 or (m.body_jntnum[root] and self.FREE not in self._joint_kinds(root)):
             # A joint directly on the world: the world itself is the fixed base.
-            if any(self.FREE in self._joint_kinds(body) for body in range(m.nbody)):
+            if any(self.FREE in self._joint_kinds(body) for body in members):
                 raise ModelError(
                     f"{self.source}: more than one moving tree; remove what is not the robot",
                     "E114",
                 )
-            return 0, list(range(m.nbody))
-        return root, [body for body in range(1, m.nbody) if m.body_rootid[body] == root]
+            return 0, members
+        return root, [body for body in members if m.body_rootid[body] == root]
 
-    def _body(self, body: int, index: dict[int, int], root: int) -> Body:
+    def phi(self, body: int) -> FloatArray:
+        """Return φ (10,) of a body about its own origin."""
         m = self.m
         inertia_axes = rotation_from_quaternion(m.body_iquat[body])
         central = inertia_axes @ np.diag(m.body_inertia[body]) @ inertia_axes.T
+        return phi_from_com(float(m.body_mass[body]), np.array(m.body_ipos[body]), central)
+
+    def _body(self, body: int, index: dict[int, int], root: int) -> Body:
+        m = self.m
         at_root = body == root
         end, radius = self._ball(body)
         return Body(
@@ -152,7 +167,7 @@ class _Reader:
             -1 if at_root else index[int(m.body_parentid[body])],
             rotation_from_quaternion(m.body_quat[body]),
             np.array(m.body_pos[body]),
-            phi_from_com(float(m.body_mass[body]), np.array(m.body_ipos[body]), central),
+            self.phi(body),
             () if at_root else tuple(self._joint(j) for j in self._joint_ids(body)),
             self._sites[body] | end,
             radius,

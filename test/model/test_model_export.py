@@ -454,6 +454,7 @@ def test_a_link_may_have_mjcfs_name_of_the_world(floating, index, tmp_path):
     np.testing.assert_allclose(again.phi[first:], robot.phi[first:], atol=1e-9)
 
 
+SHELL = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 MESH = """<mujoco>{compiler}
   <asset><mesh name="shell" file="shell.obj"/></asset>
   <worldbody><body name="trunk"><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
@@ -482,9 +483,8 @@ def test_meshes_are_found_from_another_folder(compiler, written, tmp_path):
     home, out = tmp_path / "home", tmp_path / "out"
     for each in (home / "m", home / "a", out):
         each.mkdir(parents=True)
-    shell = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
     for each in (home, home / "m", home / "a"):
-        (each / "shell.obj").write_text(shell)
+        (each / "shell.obj").write_text(SHELL)
     source = home / "robot.xml"
     source.write_text(MESH.format(compiler=compiler))
     robot = load_model(source)
@@ -494,6 +494,29 @@ def test_meshes_are_found_from_another_folder(compiler, written, tmp_path):
     again = saved(mjcf_files(heavier, source, out), out)
     np.testing.assert_allclose(again.phi, 2 * robot.phi)
     assert written in next(out.glob("*.xml")).read_text()
+
+
+def test_a_model_elsewhere_needs_no_mesh_for_its_inertias(tmp_path):
+    """A welded body has its inertia from a mesh, another one only shows it, and so does a table."""
+    home, out = tmp_path / "home", tmp_path / "out"
+    home.mkdir()
+    out.mkdir()
+    (home / "shell.obj").write_text(SHELL)
+    geom, show = '<geom type="mesh" mesh="shell" {}/>', 'mass="0" contype="0" conaffinity="0"'
+    inside = (
+        f'<body name="mount">{geom.format("")}</body><body name="badge">{geom.format(show)}</body>'
+    )
+    text = MESH.format(compiler="").replace("</body></worldbody>", inside + "</body></worldbody>")
+    text = text.replace("</worldbody>", f'<body name="table">{geom.format("")}</body></worldbody>')
+    source = home / "robot.xml"
+    source.write_text(text)
+    robot = load_model(source)
+    heavier = robot.with_phi(1.2 * robot.phi)
+    again = saved(mjcf_files(heavier, source, out), out)
+    np.testing.assert_allclose(again.phi, heavier.phi, rtol=1e-9, atol=1e-9)
+    # In its own folder, nothing that did not change is written.
+    (same,) = mjcf_files(robot, source, home).values()
+    assert same == text
 
 
 def _assert_same_placements(one, other):

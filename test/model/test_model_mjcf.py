@@ -35,6 +35,10 @@ FREE = "<freejoint/>"
         ([LEG, body("arm", joint=HINGE.format("shoulder"))], ["world", "leg", "arm"], False),
         ([body("base", LEG), body("arm", joint=HINGE.format("a"))], ["world", "leg", "arm"], False),
         ([body("table"), body("base", LEG, FREE)], ["base", "leg"], True),
+        # What a robot may grasp is no robot, nor part of one.
+        ([body("ball", joint=FREE), body("base", LEG, FREE)], ["base", "leg"], True),
+        ([body("base", LEG), body("ball", joint=FREE)], ["base", "leg"], False),
+        ([LEG, body("ball", body("skin"), FREE)], ["world", "leg"], False),
     ],
 )
 def test_the_moving_tree_is_the_robot(tmp_path, bodies, links, floating):
@@ -46,7 +50,7 @@ def test_the_moving_tree_is_the_robot(tmp_path, bodies, links, floating):
 @pytest.mark.parametrize(
     ("bodies", "code", "names"),
     [
-        ([body("base", LEG, FREE), body("ball", joint=FREE)], "E114", "more than one moving tree"),
+        ([body("a", joint=FREE), body("b", joint=FREE)], "E114", "more than one moving tree"),
         ([body("base", LEG, FREE), body("arm", joint=HINGE.format("a"))], "E114", "more than one"),
         ([body("base", body("leg", joint="<joint/>"))], "E105", "joint of body 'leg' has no name"),
         (
