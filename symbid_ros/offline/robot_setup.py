@@ -218,7 +218,9 @@ class _Inspector:
             contacts = ()  # the diagnosis states why the log cannot be read
         if contacts:
             self.setup.options["contact"] = list(contacts)
-            self.setup.note("contact", "CHECK: feet without a moment end in :point.")
+            self.setup.note(
+                "contact", "CHECK: feet without a moment end in :point, balls in their radius."
+            )
         else:
             self.setup.options.pop("contact_flag", None)
 
