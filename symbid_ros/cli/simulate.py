@@ -72,7 +72,8 @@ def simulate(
     [b]imu_mounting[/b] 0.1-0.3 degrees and [b]encoder_offset[/b] 0.05-0.15 degrees per joint.
     Others: [b]link_length[/b] 1-2 mm between joints, [b]sample_rates[/b] 1000 Hz for joints, 500 Hz
     for the IMU and 333 Hz for plates, [b]delays[/b] 1-5 ms, different for each sensor,
-    [b]quantisation[/b] 16 to 18 bits.
+    [b]quantisation[/b] 16 to 18 bits, [b]drift[/b] slow random walks of plate offsets (0.5 N
+    and 0.05 Nm in a minute) and IMU biases (0.0002 rad/s and 0.002 m/s²).
     """
     from symbid_ros.atomic_write import clear_folder, write_text
     from symbid_ros.model.load import load_model

@@ -151,6 +151,8 @@ class Sensors:
         mounting = np.zeros(9)
         mujoco.mju_quat2Mat(mounting, self._mounting)
         self._imu_axes = mounting.reshape(3, 3)
+        self._drift = errors.drift
+        self._drifts = bool(errors.drift.any())
         steps = errors.quantisation
         self._steps = (
             np.zeros(0) if steps is None else steps.by_channel(joints, len(self._plate_offset))
@@ -175,6 +177,8 @@ class Sensors:
                 self._wrench_readings(truth).ravel(),
             ]
         )
+        if self._drifts:
+            self._add_drift(readings, 1e-9 * stamp)
         if self._sigma is not None:
             readings += self._next_noise(self._sigma)
         if len(self._steps):
@@ -227,6 +231,16 @@ class Sensors:
             np.dot(matrix, self._delayed(PLATES + plate).wrenches[plate], readings[plate])
         readings[: len(self._plate_offset)] += self._plate_offset
         return readings
+
+    def _add_drift(self, readings: FloatArray, time: float) -> None:
+        """Add to all readings what the offsets of plates and IMU have changed in ``time``, s."""
+        drift, last = self._drift, len(self._drift) - 1
+        second = min(int(time), last)
+        share = time - second if second < last else 0.0
+        now = drift[second] + share * (drift[min(second + 1, last)] - drift[second])
+        gyroscope, wrenches = self._fields[3].start, self._fields[5].start
+        readings[gyroscope:wrenches] += now[-6:]
+        readings[wrenches : wrenches + len(now) - 6] += now[:-6]
 
     def _orientation(self, quaternion: FloatArray) -> FloatArray:
         """Return the orientation (xyzw) of the IMU's axes from the orientation of its frame."""

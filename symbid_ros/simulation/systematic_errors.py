@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
@@ -21,6 +22,11 @@ IMU_MOUNTING = np.radians(0.1), np.radians(0.3)
 ENCODER_OFFSET = np.radians(0.05), np.radians(0.15)
 LINK_LENGTH = 1e-3, 2e-3  # m
 DELAY = 1.0, 5.0  # periods
+# Standard deviations of the change in a minute, of random walks from minute to minute. Sensors do
+# not drift after the last one.
+PLATE_DRIFT = (0.5,) * 3 + (0.05,) * 3  # N, Nm
+IMU_DRIFT = (2e-4,) * 3 + (2e-3,) * 3  # rad/s, m/s²
+DRIFT_MINUTES = 120
 
 # Quantisation steps: 18 bits per turn of an encoder; 16 bits for ±100 Nm, ±250 degrees per second,
 # ±4 g, ±2 kN and ±400 Nm.
@@ -83,6 +89,9 @@ class SystematicErrors:
         readings of that many periods earlier, interpolated between two instants.
     quantisation : ChannelValues or None
         Quantisation steps of the readings.
+    drift : (K, 6 F + 6) float64
+        Change of the plates' offsets (force; moment) and of the IMU's biases (gyroscope;
+        accelerometer) since the start of the motion, once a second, N, Nm, rad/s and m/s².
     """
 
     plate_gain: FloatArray
@@ -95,6 +104,7 @@ class SystematicErrors:
     sample_rates: SampleRates
     delays: FloatArray
     quantisation: ChannelValues | None
+    drift: FloatArray
 
     @classmethod
     def none(cls, joints: int, plates: int) -> "SystematicErrors":
@@ -110,6 +120,7 @@ class SystematicErrors:
             sample_rates=SampleRates(),
             delays=np.zeros(2 + plates),
             quantisation=None,
+            drift=np.zeros((1, 6 * plates + 6)),
         )
 
 
@@ -167,6 +178,15 @@ def _draw_vectors(random: np.random.Generator, size: tuple[float, float], count:
     return np.asarray(random.uniform(*size, (count, 1)) * direction / length)
 
 
+def _draw_walks(random: np.random.Generator, plates: int) -> FloatArray:
+    in_a_minute = np.array(plates * PLATE_DRIFT + IMU_DRIFT)
+    walks = np.zeros((DRIFT_MINUTES + 1, len(in_a_minute)))
+    walks[1:] = np.cumsum(random.standard_normal(walks[1:].shape) * in_a_minute, axis=0)
+    second = np.arange(60 * DRIFT_MINUTES + 1)
+    smooth: FloatArray = PchipInterpolator(60 * np.arange(DRIFT_MINUTES + 1), walks)(second)
+    return smooth
+
+
 Draw = Callable[[np.random.Generator, int, int], Any]
 
 ERRORS: dict[str, Draw] = {
@@ -185,6 +205,7 @@ ERRORS: dict[str, Draw] = {
     "sample_rates": lambda *_: SAMPLE_RATES,
     "delays": lambda random, _, plates: random.uniform(*DELAY, 2 + plates),
     "quantisation": lambda *_: RESOLUTION,
+    "drift": lambda random, _, plates: _draw_walks(random, plates),
 }
 TYPICAL = (
     "plate_gain",

@@ -120,6 +120,33 @@ def test_plates_have_offsets(perfect):
     unchanged(readings, perfect, *others("wrenches"))
 
 
+def test_offsets_and_biases_drift(perfect):
+    errors, readings = instants("drift", ideal=True)
+    share = np.arange(1, STEPS + 1)[:, None] * 1e-3  # of the first second
+    drift = share * errors.drift[1]
+    plates = readings["wrenches"] - perfect["wrenches"]
+    np.testing.assert_allclose(plates, drift[:, :12].reshape(STEPS, 2, 6), atol=1e-12)
+    for name, columns in (
+        ("imu_angular_velocity", slice(12, 15)),
+        ("imu_linear_acceleration", slice(15, 18)),
+    ):
+        np.testing.assert_allclose(readings[name] - perfect[name], drift[:, columns], atol=1e-14)
+    unchanged(
+        readings, perfect, *others("imu_angular_velocity", "imu_linear_acceleration", "wrenches")
+    )
+
+
+def test_drift_is_a_random_walk_from_minute_to_minute():
+    drift = draw_errors(("drift",), 0, joints=1, plates=2).drift
+    assert not drift[0].any()
+    steps = np.diff(drift[::60], axis=0)
+    in_a_minute = np.array(2 * ([0.5] * 3 + [0.05] * 3) + [2e-4] * 3 + [2e-3] * 3)
+    np.testing.assert_allclose(steps.std(axis=0), in_a_minute, rtol=0.25)
+    neighbours = np.mean(steps[1:] * steps[:-1], axis=0) / in_a_minute**2
+    assert np.abs(neighbours).max() < 0.3  # independent to 1 in sqrt(119)
+    assert np.abs(np.diff(drift, 2, axis=0) / in_a_minute).max() < 0.02  # smooth
+
+
 def test_plates_are_displaced(perfect):
     errors, readings = instants("plate_pose", ideal=True)
     assert between(np.linalg.norm(errors.plate_pose, axis=1), 1e-3, 3e-3)
