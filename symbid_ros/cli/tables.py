@@ -247,6 +247,8 @@ def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
     if verdict.sensors:
         known = sum(error.determined for error in verdict.sensors)
         lines.append(f"{known} of {len(verdict.sensors)} sensor errors determined")
+    if drift := verdict.describe_drift():
+        lines.append(Text(drift))
     if verdict.unexplained:
         lines.append(Text(f"at most {verdict.unexplained[0]}, apart from noise"))
     if scale := verdict.describe_mass_scale():

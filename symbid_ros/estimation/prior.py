@@ -172,9 +172,20 @@ class Prior:
             self, names=names, mean=mean, std=std, factor=factor, assumed=assumed, alone=alone
         )
 
-    def extended(self, names: tuple[str, ...], mean: FloatArray, std: FloatArray) -> "Prior":
-        """Return the prior with more parameters, independent of the others."""
-        factor = None if self.factor is None else block_diag(self.factor, np.diag(std))
+    def extended(
+        self,
+        names: tuple[str, ...],
+        mean: FloatArray,
+        std: FloatArray,
+        factor: FloatArray | None = None,
+    ) -> "Prior":
+        """Return the prior with more parameters, independent of the others.
+
+        ``factor`` is the covariance factor of parameters that depend on each other.
+        """
+        if self.factor is not None or factor is not None:
+            own = np.diag(std) if factor is None else factor
+            factor = block_diag(self.covariance_factor(), own)
         return replace(
             self,
             names=self.names + names,

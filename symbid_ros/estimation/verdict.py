@@ -12,6 +12,7 @@ from symbid_ros.estimation.mass_scale import weighing_residual
 from symbid_ros.estimation.posterior import Posterior, PseudoMeasurements
 from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.sensor_drift import final_drifts
 
 # A parameter or direction is determined if the data say more about it than the prior, which halves
 # the variance. This is the largest ratio of standard deviations.
@@ -116,6 +117,23 @@ class Verdict:
     def largest_prior_scale(self) -> float:
         """Largest factor on the prior's deviations that raises no alarm."""
         return SUSPICIOUS_MODEL_SCALE if self.is_prior_scaled else SUSPICIOUS_SCALE
+
+    def describe_drift(self) -> str:
+        """Return which sensor error changed most clearly during the log; empty if none drifts."""
+        changes = final_drifts([one.name for one in self.sensors])
+        if not changes:
+            return ""
+        error, place = max(
+            changes.items(),
+            key=lambda each: abs(self.sensors[each[1]].value) / self.sensors[each[1]].std,
+        )
+        start = next(one for one in self.sensors if one.name == error)
+        change = self.sensors[place]
+        return (
+            f"{len(changes)} sensor errors drift, {error} most clearly: {start.value:.3g} ± "
+            f"{start.std:.2g} {start.unit} at the start, {change.value:+.3g} ± {change.std:.2g} "
+            f"{change.unit} until the end"
+        )
 
     def describe_mass_scale(self) -> str:
         """Return what the data cannot check about the masses; empty with a weighing."""

@@ -1,7 +1,6 @@
-"""Sensor errors as further unknowns, and tares, which give priors of wrench sensors' offsets."""
+"""Sensor errors of a log as further unknowns."""
 
-import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,12 +8,12 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import KINEMATIC_ERRORS
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.dataset import Dataset, observe
+from symbid_ros.identification.drift_evidence import drift_by_evidence
 from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.stance_closure import (
@@ -23,18 +22,13 @@ from symbid_ros.identification.stance_closure import (
     contradicted_geometry,
     find_stances,
 )
+from symbid_ros.identification.tares import Tare
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
-from symbid_ros.signals.log import Log
-from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.segments import Segment, stamp_spans
+from symbid_ros.signals.sensor_drift import SensorDrift
 from symbid_ros.signals.sensor_errors import COMPLIANCE, DRIVE_GAIN, SensorErrors
-from symbid_ros.signals.streams import WrenchStream
 from symbid_ros.signals.weak_form import ALL_WINDOWS, FORCES, MOTION, suitable_windows
-
-logger = logging.getLogger(__name__)
-
-# A sensor that reads more than this in a tare is loaded.
-UNLOADED = 20.0  # N
 
 # The first pass is linearised about the prior; then Gauss-Newton.
 PASSES = 3
@@ -59,63 +53,6 @@ FIXED = 1e-6
 NOISY_CHANNELS = MOTION + FORCES
 # The linearisation point need not be exact.
 POINT_CONVERGED = 1e-2
-
-
-@dataclass(frozen=True)
-class Tare:
-    """What an unloaded wrench sensor reads.
-
-    Attributes
-    ----------
-    mean, std : (6,) float64
-        Mean of moment and force, and the standard deviation of this mean, Nm and N.
-    """
-
-    mean: FloatArray
-    std: FloatArray
-
-
-def read_tare(log: Log) -> dict[str, Tare]:
-    """Return the readings of the unloaded wrench sensors of a log, by frame.
-
-    Raises
-    ------
-    DataError
-        When there is no unloaded sensor, or a reading is NaN or infinite.
-    """
-    streams = log.streams()
-    return tares_of(streams.wrenches, streams.source)
-
-
-def tares_of(wrenches: Iterable[WrenchStream], source: str) -> dict[str, Tare]:
-    """Return what :func:`read_tare` does, from streams of a log or of topics named ``source``."""
-    tares = {}
-    for wrench in wrenches:
-        readings = np.concatenate([wrench.torque, wrench.force], axis=1)
-        if not np.all(np.isfinite(readings)):
-            raise DataError(
-                f"{source}: {wrench.topic} has a NaN or infinite reading; record the `tare` again",
-                "E515",
-            )
-        mean = readings.mean(axis=0)
-        if np.linalg.norm(mean[3:]) > UNLOADED:
-            logger.warning(
-                "%s: %s reads %.0f N, so it is loaded and not tared",
-                source,
-                wrench.topic,
-                np.linalg.norm(mean[3:]),
-            )
-            continue
-        std = readings.std(axis=0) / np.sqrt(len(readings))
-        # Rounding to the sensor's resolution, which is unknown, can hide all noise.
-        tares[wrench.frame_id] = Tare(mean, np.maximum(std, 1e-4))
-    if not tares:
-        raise DataError(
-            f"{source}: no unloaded wrench sensor; record the topics of the sensors with nothing "
-            "touching them for the `tare`",
-            "E514",
-        )
-    return tares
 
 
 @dataclass(frozen=True)
@@ -167,11 +104,14 @@ class ExtendedProblem:
     errors : SensorErrors
     layout : RowLayout
         Of the rows.
+    drift : SensorDrift or None
+        Changes of sensor errors during the log, unknowns after the errors themselves.
     """
 
     problem: Problem
     errors: SensorErrors
     layout: RowLayout
+    drift: SensorDrift | None = None
 
     @classmethod
     def of(
@@ -212,22 +152,61 @@ class ExtendedProblem:
     @property
     def prior_point(self) -> LinearizationPoint:
         """The prior's mean."""
-        p, mean = len(self.problem.parameters), self.problem.prior.mean
-        return LinearizationPoint(mean[:p], mean[p:])
+        return LinearizationPoint(*self._split(self.problem.prior.mean))
 
     def point(self, unknowns: FloatArray) -> LinearizationPoint:
-        """Return the point at which rows are linearized if the unknowns (p + r,) are nearest."""
-        p = len(self.problem.parameters)
-        theta = unknowns[p:].copy()
+        """Return the point at which rows are linearized if the unknowns (p + s,) are nearest."""
+        phi, theta = self._split(unknowns)
         if COMPLIANCE in self.errors.kinds:
             # About rigid joints, because rates of a noisy deflection would enter the motion. The
             # squares of deflections are negligible.
             theta[self.errors.places[COMPLIANCE]] = 0.0
-        return LinearizationPoint(unknowns[:p], theta)
+        return LinearizationPoint(phi, theta)
+
+    def _split(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the parameters (p,) and the sensor errors (r,) at the start of the log."""
+        p, r = len(self.problem.parameters), len(self.errors)
+        return unknowns[:p].copy(), unknowns[p : p + r].copy()
 
     def rows(self, point: LinearizationPoint) -> CalibratingRows:
         """Return what builds the rows of all unknowns, linearized at a point."""
-        return CalibratingRows(self.problem.parameters, self.errors, point)
+        return CalibratingRows(self.problem.parameters, self.errors, point, self.drift)
+
+    def with_drift(self, drift: SensorDrift) -> "ExtendedProblem":
+        """Return the problem with changes of sensor errors as further unknowns."""
+        problem, errors, p = self.problem, self.errors, len(self.problem.parameters)
+        names, root = drift.names(errors), drift.covariance_factor
+        std = problem.prior.std.copy()
+        places = p + drift.places
+        std[places] = np.hypot(std[places], drift.start_std)
+        prior = problem.prior.widened(std / problem.prior.std)
+        extended = replace(
+            problem,
+            prior=prior.extended(names, np.zeros(len(names)), np.linalg.norm(root, axis=1), root),
+            sensor_units=problem.sensor_units + drift.repeated(errors.units),
+            pseudo_measurements=_padded(problem.pseudo_measurements, len(names)),
+        )
+        structure = self.layout.structure[:, np.tile(places, len(drift.knots) - 1)]
+        return replace(
+            self,
+            problem=extended,
+            layout=self.layout.extended(names, structure),
+            drift=drift,
+        )
+
+    def with_row(self, row: FloatArray, target: float) -> "ExtendedProblem":
+        """Return the problem with one more pseudo-measurement."""
+        rows = _with_row(self.problem.pseudo_measurements, row, target)
+        return replace(self, problem=replace(self.problem, pseudo_measurements=rows))
+
+    def with_closure(
+        self, stances: RestingSoles, point: LinearizationPoint
+    ) -> PseudoMeasurements | None:
+        """Return the pseudo-measurements with those of soles at rest."""
+        parameters, errors = self.problem.parameters, self.errors
+        closed = closure_rows(stances, parameters, errors, point)
+        changes = len(self.problem.prior.mean) - len(parameters) - len(errors)
+        return _stacked(self.problem.pseudo_measurements, _padded(closed, changes))
 
 
 def calibration_windows(rate: float) -> tuple[float, float]:
@@ -254,14 +233,12 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     extended = ExtendedProblem.of(
         problem, segment.wrench_frames, segment.imu_frames, request, dataset.samples
     )
-    parameters, errors, layout = problem.parameters, extended.errors, extended.layout
-    prior, point = extended.problem.prior, extended.prior_point
+    parameters, errors = problem.parameters, extended.errors
+    point = extended.prior_point
     p = len(parameters)
-    pseudo_measurements = extended.problem.pseudo_measurements
     shortest, longest = calibration_windows(segment.rate)
     scale: FloatArray | None = None
     remarks: tuple[str, ...] = ()
-    forceful = pseudo_measurements
     stances = RestingSoles()
     alarms: tuple[str, ...] = ()
     if parameters.model.floating:
@@ -270,32 +247,50 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
             stances = found_stances
         elif alarm := contradicted_geometry(found_stances, parameters.model):
             alarms = (alarm,)
-    for _ in range(PASSES - 1):
-        build = extended.rows(point)
-        closed = closure_rows(stances, parameters, errors, point)
-        pseudo_measurements = _stacked(forceful, closed)
-        (observations,) = observe(dataset.segments, build, layout, (longest,), ())
+    spans = stamp_spans(dataset.segments)
+    possible = SensorDrift.possible(errors, spans[0][0], spans[-1][1])
+    is_empirical = problem.is_empirical and request.factors is not None
+    for turn in range(1, PASSES):
+        is_last = turn == PASSES - 1
+        wide = extended
+        if is_last and possible is not None:
+            wide = extended.with_drift(possible)
+        (observations,) = observe(dataset.segments, wide.rows(point), wide.layout, (longest,), ())
+        if is_last and wide.drift is not None:
+            drift = drift_by_evidence(
+                wide.drift,
+                errors,
+                observations,
+                wide.problem.prior,
+                wide.with_closure(stances, point),
+                empirical=is_empirical,
+                count=parameters.inertial,
+            )
+            if drift is not None:
+                extended = extended.with_drift(drift)
+            observations = observations.restricted(extended.layout.parameters)
+        prior = extended.problem.prior
+        pseudo_measurements = extended.with_closure(stances, point)
         if request.factors is not None and scale is None:
             scale = _scale_row(request.factors, errors, prior.mean[p:], p)
             if is_undetermined(scale, observations, prior, pseudo_measurements, p):
                 remarks = (ASSUMED,)
-                forceful = _with_row(forceful, scale / ASSUMED_STD, 1 / ASSUMED_STD)
-                pseudo_measurements = _stacked(forceful, closed)
+                extended = extended.with_row(scale / ASSUMED_STD, 1 / ASSUMED_STD)
+                pseudo_measurements = extended.with_closure(stances, point)
         found = posterior(
             observations,
             prior,
             pseudo_measurements,
-            empirical=problem.is_empirical and request.factors is not None,
+            empirical=is_empirical,
             count=parameters.inertial,
             tolerance=POINT_CONVERGED,
         )
         point = extended.point(found.mean)
     build = extended.rows(point)
-    pseudo_measurements = _stacked(forceful, closure_rows(stances, parameters, errors, point))
     return replace(
         extended.problem,
-        observations=_final_rows(build, dataset, layout, (shortest, longest)),
-        pseudo_measurements=pseudo_measurements,
+        observations=_final_rows(build, dataset, extended.layout, (shortest, longest)),
+        pseudo_measurements=extended.with_closure(stances, point),
         calibrated_rows=build,
         remarks=remarks,
         alarms=alarms,

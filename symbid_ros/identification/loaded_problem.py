@@ -20,9 +20,7 @@ from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.calibration import (
     SensorErrorRequest,
-    Tare,
     calibrate,
-    read_tare,
     with_fixed_gains,
     without_terms,
 )
@@ -68,6 +66,7 @@ from symbid_ros.identification.stored_information import (
     merged_observations,
     with_columns,
 )
+from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.identification.term_priors import candidate_prior
 from symbid_ros.model.load import model_files
 from symbid_ros.model.parameters import ParameterSet

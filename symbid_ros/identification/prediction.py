@@ -27,6 +27,7 @@ from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPo
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows, sampled_rows
 from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_drift import final_drifts, is_drift
 from symbid_ros.signals.sensor_errors import ALL_KINDS, DRIVE_GAIN, SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base, build_samples
 from symbid_ros.signals.weak_form import check_windows, equation_rows, windowed_rows
@@ -72,7 +73,8 @@ class ForcePredictor:
     estimate : Estimate
         Parameters in the order of the columns.
     sensor_names : tuple of str
-        The s sensor errors.
+        The s sensor errors. Of those that drift during the identified log, the values at its end
+        are used.
     unknowns : (p + s,) float64
         Identified parameters and sensor errors.
     linearization : (p + s,) float64
@@ -233,6 +235,10 @@ class ForcePredictor:
         count = len(parameters)
         errors, order = self._errors(segment, source)
         theta = self.unknowns[count:][order]
+        finals = final_drifts(self.sensor_names)
+        if errors is not None:
+            drifting = [errors.names.index(error) for error in finals]
+            theta[drifting] += self.unknowns[count:][list(finals.values())]
         placed = parameters if errors is None else errors.placed(parameters, theta)
 
         def columns(readings: SensorSamples) -> Iterator[SampledRows]:
@@ -250,10 +256,13 @@ class ForcePredictor:
         ordered = CalibratingRows(parameters, errors, linearization)
 
         def in_own_order(readings: SensorSamples) -> Iterator[SampledRows]:
-            back = np.argsort(order)
+            places = count + order
+            changes = [count + index for index in finals.values()]
+            drifting = [count + self.sensor_names.index(error) for error in finals]
             for part in ordered(readings):
-                K = part.rows.K
-                K = np.concatenate([K[..., :count], K[..., count:][..., back]], axis=2)
+                K = np.zeros((*part.rows.y.shape, len(self.unknowns)))
+                K[..., :count], K[..., places] = part.rows.K[..., :count], part.rows.K[..., count:]
+                K[..., changes] = K[..., drifting]
                 yield replace(part, rows=Rows(K, part.rows.y))
 
         return in_own_order, columns
@@ -262,9 +271,10 @@ class ForcePredictor:
         """Return the sensor errors of a log, and the places of its errors among the unknowns."""
         if not self.sensor_names:
             return None, np.zeros(0, dtype=np.int64)
-        parts = [name.rpartition("/")[2] for name in self.sensor_names]
+        constant = [name for name in self.sensor_names if not is_drift(name)]
+        parts = [name.rpartition("/")[2] for name in constant]
         kinds = [kind for kind in ALL_KINDS if any(one.startswith(kind) for one in parts)]
-        gained = [name.rpartition("/") for name in self.sensor_names]
+        gained = [name.rpartition("/") for name in constant]
         errors = SensorErrors.of(
             kinds,
             self.parameters.model,
@@ -272,8 +282,8 @@ class ForcePredictor:
             segment.imu_frames,
             tuple(joint for joint, _, kind in gained if kind == DRIVE_GAIN),
         )
-        if set(errors.names) != set(self.sensor_names):
-            other = sorted(set(errors.names) ^ set(self.sensor_names))[0].rpartition("/")[0]
+        if set(errors.names) != set(constant):
+            other = sorted(set(errors.names) ^ set(constant))[0].rpartition("/")[0]
             raise EstimateError(
                 f"{source}: its sensors are not those whose errors {self.name} holds ({other} is "
                 "in one of them only); give a log of the same sensors",

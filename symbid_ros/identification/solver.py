@@ -90,9 +90,10 @@ class Identification:
         if self.factor is None or not isinstance(self.rows, CalibratingRows):
             return None
         point = self.rows.linearization
-        return SensorCalibration(
-            self.factor[len(self.estimate.names) :], np.concatenate([point.phi, point.theta])
-        )
+        # Rows are linear in changes of sensor errors during the log.
+        linearization = np.zeros(len(self.unknowns))
+        linearization[: len(point.phi) + len(point.theta)] = np.r_[point.phi, point.theta]
+        return SensorCalibration(self.factor[len(self.estimate.names) :], linearization)
 
 
 @dataclass(frozen=True)

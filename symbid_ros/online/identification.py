@@ -27,10 +27,10 @@ from symbid_ros.identification.accumulator import (
     TimeSpan,
     build_block_rows,
 )
-from symbid_ros.identification.calibration import Tare
 from symbid_ros.identification.change_monitor import Change, ChangeMonitor
 from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.identification.tares import Tare
 from symbid_ros.identification.window_comparison import WindowSelector
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import BOOL

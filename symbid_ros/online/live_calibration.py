@@ -20,10 +20,10 @@ from symbid_ros.identification.accumulator import TimeSpan
 from symbid_ros.identification.calibration import (
     ExtendedProblem,
     SensorErrorRequest,
-    Tare,
     calibration_windows,
 )
 from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.tares import Tare
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.sampled_rows import RowBuilder
 

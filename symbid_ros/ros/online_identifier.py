@@ -17,9 +17,9 @@ from std_srvs.srv import SetBool, Trigger
 from symbid_ros.bags import bag_log
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.provenance import Provenance, command_line
-from symbid_ros.identification.calibration import Tare, read_tare
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import check_output, export_urdf, write_identification
+from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel

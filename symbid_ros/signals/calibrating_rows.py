@@ -20,6 +20,7 @@ from symbid_ros.signals.sampled_rows import (
     valid_coordinates,
     valid_rows,
 )
+from symbid_ros.signals.sensor_drift import SensorDrift
 from symbid_ros.signals.sensor_errors import (
     AXIS,
     COMPLIANCE,
@@ -203,11 +204,14 @@ class CalibratingRows:
     errors : SensorErrors
         The r columns that follow.
     linearization : LinearizationPoint
+    drift : SensorDrift or None
+        Changes of these errors during the log, whose columns come last.
     """
 
     parameters: ParameterSet
     errors: SensorErrors
     linearization: LinearizationPoint
+    drift: SensorDrift | None = None
 
     @cached_property
     def placed(self) -> ParameterSet:
@@ -234,9 +238,12 @@ class CalibratingRows:
                 C[:, rows_of, range(place.start, place.stop)] = (
                     np.nan_to_num(predicted) / point.theta[place]
                 )
+            columns = [rows.K, -C]
+            if self.drift is not None:
+                columns.append(-self.drift.columns(C, part.stamp))
             yield valid_rows(
                 part.stamp,
-                Rows(np.concatenate([rows.K, -C], axis=2), rows.y - C @ point.theta),
+                Rows(np.concatenate(columns, axis=2), rows.y - C @ point.theta),
                 valid_coordinates(parameters, samples.velocity),
                 slipping_coordinates(parameters, samples.velocity),
             )

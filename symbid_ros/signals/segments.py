@@ -153,6 +153,13 @@ class _Part:
             yield from cut_to([segment], self.start, self.stop)
 
 
+def stamp_spans(segments: Iterable[Segment]) -> list[tuple[int, int]]:
+    """Return the first and the last stamp of each segment, ns."""
+    if isinstance(segments, RemoteSegments):
+        return segments.spans()
+    return [(int(one.stamp[0]), int(one.stamp[-1])) for one in segments]
+
+
 def split(
     segments: Iterable[Segment], gap: float, source: str
 ) -> tuple[Iterable[Segment], Iterable[Segment]]:
@@ -172,10 +179,7 @@ def split(
     DataError
         When nothing is left of one part.
     """
-    if isinstance(segments, RemoteSegments):
-        spans = segments.spans()
-    else:
-        spans = [(int(one.stamp[0]), int(one.stamp[-1])) for one in segments]
+    spans = stamp_spans(segments)
     lengths = np.array([stop - start for start, stop in spans])
     left = (1 - HELD_OUT) * float(lengths.sum())
     ends = np.cumsum(lengths)
