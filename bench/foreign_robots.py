@@ -1,7 +1,7 @@
 """Default options on robots of example-robot-data, judged against the noise-free truth.
 
 Usage: .venv/bin/python bench/foreign_robots.py [--robots ur5 anymal] [--draws 1] [--seconds 60]
-[--rate 250] [--effort-noise 0.1]
+[--rate 250] [--effort-noise 0.1] [--warm-up 0]
 
 Prints a Markdown table. The model file of each draw is wrong by up to 25 % in every link, and the
 robot moves at random: an arm on a fixed base, a legged robot with all feet on the ground. Encoders,
@@ -22,6 +22,9 @@ the package can be named by its file, or by folder/file.
 
 With `--kinematics` the joints of an arm's model file are displaced by up to 2 mm and turned by up
 to 0.3° about each axis, and their placements are estimated with the links. The bound knows them.
+
+With `--warm-up 30` viscous friction falls by 30 % during the log, most of it in the first minutes.
+The robot with the warm friction is judged.
 
 With `--no-foot-sensors` the logs of legged robots have no wrenches, and no option says where they
 stand. Torques are judged with the true wrenches. Feet that are balls in the model then touch the
@@ -71,6 +74,7 @@ SLIPS = 0.05  # rad/s; Coulomb friction of slower joints is undefined
 LEVER = 0.1  # m; noise of a foot's moments over that of its forces
 TILT, SHIFT = 0.12, 0.025  # of a standing base: rad and m
 SWING = 0.5  # rad or m; of joints that are not in legs
+WARM_UP = 120.0  # s; time constant
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,7 @@ class Setup:
     """A log's length (s), rate (Hz) and effort noise as a share of the largest effort.
 
     ``geometry`` are the errors of joint placements that the robot has. Feet may have no sensors.
+    ``warm_up`` is the share of viscous friction that is lost until the end of the log.
     """
 
     seconds: float = 60.0
@@ -85,6 +90,7 @@ class Setup:
     effort_noise: float = EFFORT
     geometry: tuple[str, ...] = ()
     has_foot_sensors: bool = True
+    warm_up: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -112,10 +118,11 @@ def main() -> None:
     options.add_argument("--effort-noise", type=float, default=100 * EFFORT, help="%%")
     options.add_argument("--kinematics", action="store_true", help="wrong joint placements")
     options.add_argument("--no-foot-sensors", action="store_true")
+    options.add_argument("--warm-up", type=float, default=0.0, help="%% of viscous friction")
     given = options.parse_args()
     geometry = KINEMATIC_ERRORS if given.kinematics else ()
     noise, feel = given.effort_noise / 100, not given.no_foot_sensors
-    setup = Setup(given.seconds, given.rate, noise, geometry, feel)
+    setup = Setup(given.seconds, given.rate, noise, geometry, feel, given.warm_up / 100)
     logging.disable(logging.WARNING)
     columns = "robot", "friction", "prior %", "default %", "by hand %", "expected %", "bound %"
     columns = *columns, "ratio", "covered", "geometry", "alarms"
@@ -383,6 +390,18 @@ def torque(robot: sy.RobotModel, motion: Samples) -> FloatArray:
     return needed + damping * speed + loss * np.sign(speed) + armature * motion.acceleration
 
 
+def cold_friction(truth: sy.RobotModel, motion: Samples, share: float) -> FloatArray:
+    """Return by how much viscous friction (N, J) exceeds that at the end, Nm or N.
+
+    ``share`` of the friction at the start is lost.
+    """
+    warm = np.array([joint.damping for joint in truth.joints])
+    decay = np.exp(-1e-9 * (motion.stamp - motion.stamp[0]) / WARM_UP)
+    left = (decay - decay[-1]) / (1 - decay[-1])
+    excess: FloatArray = share / (1 - share) * warm * left[:, None] * motion.velocity
+    return excess
+
+
 def record(
     truth: sy.RobotModel,
     motion: Samples,
@@ -391,7 +410,7 @@ def record(
     setup: Setup = Setup(),
 ) -> sy.Log:
     """Return the noisy log of a motion of the true robot."""
-    efforts = torque(truth, motion)
+    efforts = torque(truth, motion) + cold_friction(truth, motion, setup.warm_up)
     noise = effort_deviation(truth, size, setup.effort_noise)
     imus, wrenches = {}, {}
     if truth.floating:
