@@ -6,9 +6,11 @@ estimated where the log has them. A row below `typical` shows
 the correction without a tare. Prediction errors are those along an ideal log of another motion. In
 brackets: the estimate's own standard deviation of the centre of mass.
 
-    .venv/bin/python bench/sensor_errors.py [--seed N] [--only NAME ...]
+    .venv/bin/python bench/sensor_errors.py [--seed N] [--only NAME ...] [--moves N] [--constant]
 
-Takes about a minute per row.
+Several errors at once are joined by commas. Offsets and biases that drift are found in logs of two
+minutes and more (``--only typical,drift --moves 128``); with ``--constant`` they are taken as
+constant. Takes about a minute per row of the default length.
 """
 
 import argparse
@@ -26,6 +28,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.package_paths import config_file
+from symbid_ros.signals.sensor_drift import SensorDrift
 from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
@@ -43,12 +46,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=500)
     parser.add_argument("--only", nargs="*", default=NAMES, help="errors to try")
+    parser.add_argument("--moves", type=int, default=20, help="length of the logs, 2.3 s each")
+    parser.add_argument("--constant", action="store_true", help="without drift as an unknown")
     arguments = parser.parse_args()
+    if arguments.constant:
+        SensorDrift.possible = lambda *_: None
     logging.disable(logging.WARNING)  # a tare loads the load cell as intended
     print(f"{'error':16} {'uncorrected':>28} {'corrected':>28}  alarms")
     print(f"{'':16} " + f"{'gen. force  torque  CoM mm':>28} " * 2)
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
-        bench = Bench(Path(folder), arguments.seed)
+        bench = Bench(Path(folder), arguments.seed, arguments.moves)
         for name in arguments.only:
             log, tare = bench.simulate(name, "smooth"), bench.simulate(name, "tare")
             plain = bench.identify(log)
@@ -66,8 +73,8 @@ def main() -> None:
 class Bench:
     """One robot, one prior and one ideal log for evaluation."""
 
-    def __init__(self, folder: Path, seed: int) -> None:
-        self.folder, self.seed = folder, seed
+    def __init__(self, folder: Path, seed: int, moves: int = 20) -> None:
+        self.folder, self.seed, self.moves = folder, seed, moves
         model = load_model(MODEL)
         self.parameters = ParameterSet(model)
         self.prior = folder / "prior.json"
@@ -80,9 +87,10 @@ class Bench:
         """Return a bag of the scenario with these errors."""
         bag = self.folder / f"{errors}-{scenario}"
         seeds = {"motion_seed": self.seed, "noise_seed": self.seed + (scenario == "tare")}
-        record(
-            Simulator(SimulateOptions(scenario, errors=errors, error_seed=self.seed, **seeds)), bag
+        options = SimulateOptions(
+            scenario, errors=errors, error_seed=self.seed, moves=self.moves, **seeds
         )
+        record(Simulator(options), bag)
         return bag
 
     def identify(self, log: Path, **known: object) -> tuple[str, int]:
