@@ -23,7 +23,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
-from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.segments import Segment, stamp_spans
 from symbid_ros.signals.sensor_errors import COMPLIANCE, SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples
 from symbid_ros.signals.weak_form import block_length, windowed_rows
@@ -44,9 +44,13 @@ RIDGE = 1e-3
 # error makes it "mostly" there.
 QUARTER, MOSTLY = 0.25, 0.5
 
+# Shorter logs do not tell a drive that warms up from other effects, ns.
+LEAST_WARMING = 60_000_000_000
 NO_OPTION = "no option models it, and the standard deviations allow for it"
+WARM = "identify a log, or the part after a later `start`, of drives that are warm"
 EFFECTS = {
     "viscous": "viscous friction",
+    "warming": "viscous friction that changes during the log",
     "coulomb": "Coulomb friction",
     "armature": "armature",
     "offset": "constant torques",
@@ -105,7 +109,7 @@ class Cause:
             return f"give `sensor_errors` {self.kind}"
         if self.kind == "delay":
             return "give `sensor_errors` sensor_delay, or correct the stamps of one of them"
-        return NO_OPTION
+        return WARM if self.kind == "warming" else NO_OPTION
 
 
 def explained(problem: LoadedProblem, found: Identification) -> Identification:
@@ -193,6 +197,8 @@ class CandidateRows:
         if first is None:
             return None
         build = _Builder.of(problem.row_builder, found, problem.parameters, first)
+        spans = stamp_spans(segments)
+        build = replace(build, span=(spans[0][0], spans[-1][1]))
         window = problem.observations[-1].window
         slips = problem.choice is not None and problem.choice.slips
         parts = []
@@ -384,6 +390,8 @@ class _Builder:
         The sensor errors that follow them.
     terms : tuple of str
         Joint terms that were not identified.
+    span : (int, int)
+        First and last stamp of the log, ns.
     """
 
     build: RowBuilder
@@ -391,6 +399,7 @@ class _Builder:
     unknowns: FloatArray
     errors: SensorErrors | None
     terms: tuple[str, ...]
+    span: tuple[int, int] = (0, 0)
 
     @classmethod
     def of(
@@ -418,7 +427,8 @@ class _Builder:
     def effects(self) -> tuple[str, ...]:
         """Kinds with one column for each joint."""
         gain = () if self.errors is None else ("torque_gain",)
-        return (*self.terms, "quadratic", "delay", *gain)
+        warming = ("warming",) if self.span[1] - self.span[0] >= LEAST_WARMING else ()
+        return (*self.terms, "quadratic", *warming, "delay", *gain)
 
     def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
         """Yield the rows of sensor samples."""
@@ -459,11 +469,18 @@ class _Builder:
             "quadratic": velocity * np.abs(velocity),
             "load": slips * np.abs(effort),
             "presliding": friction_state(readings.position, joints) - slips,
-            "stiffness": readings.position[:, : len(joints)],
+            "stiffness": readings.position,
+            "warming": velocity * self._elapsed(readings.stamp)[:, None],
             "delay": rate,
             "torque_gain": effort,
         }
         return np.stack([*(columns[kind] for kind in self.effects), np.abs(velocity)], axis=2)
+
+    def _elapsed(self, stamp: IntArray) -> FloatArray:
+        """Return the time (N,) since the middle of the log, as shares of the log."""
+        first, last = self.span
+        elapsed: FloatArray = (stamp - first) / max(last - first, 1) - 0.5
+        return elapsed
 
     def candidates(self, K: FloatArray) -> list["Candidate"]:
         """Return the candidates whose columns in rows K are not zero."""

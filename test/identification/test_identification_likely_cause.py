@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from drive_logs import arm, drives, log_of
+from drive_logs import SECONDS, arm, drives, log_of
 
 import symbid_ros as sy
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
@@ -23,6 +23,7 @@ class Fault:
     change: object = None
     extra: object = None
     options: object = None
+    seconds: float = SECONDS
 
 
 def late(time, position, effort):
@@ -57,9 +58,14 @@ def robot():
     return arm(seed=2)
 
 
+def cold(velocity, acceleration):
+    """Return the viscous friction that drives lose while they warm up."""
+    return 3.0 * np.exp(-np.linspace(0, 3, len(velocity)))[:, None] * velocity
+
+
 def identify(robot, fault):
     truth = drives(robot, viscous=0.4, coulomb=0.8)
-    log = log_of(robot, truth, extra=fault.extra)
+    log = log_of(robot, truth, extra=fault.extra, seconds=fault.seconds)
     if fault.change is not None:
         joints = log.streams().joints
         time = (joints.stamp - joints.stamp[0]) * 1e-9
@@ -84,6 +90,9 @@ FAULTS = {
         "several sensor errors together", change=with_both, options={"prior_percent": 5.0}
     ),
     "friction": Fault("Coulomb friction", options={"joint_terms": ("viscous",)}),
+    "warming": Fault(
+        r"viscous friction that changes during the log, .* later `start`", extra=cold, seconds=75.0
+    ),
     "strange": Fault("none of these explains it", extra=strange),
 }
 
