@@ -28,7 +28,13 @@ from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPo
 from symbid_ros.signals.segments import Segment, stamp_spans
 from symbid_ros.signals.sensor_drift import SensorDrift
 from symbid_ros.signals.sensor_errors import COMPLIANCE, DRIVE_GAIN, SensorErrors
-from symbid_ros.signals.weak_form import ALL_WINDOWS, FORCES, MOTION, suitable_windows
+from symbid_ros.signals.weak_form import (
+    ACCELERATION,
+    ALL_WINDOWS,
+    FORCES,
+    MOTION,
+    suitable_windows,
+)
 
 # The first pass is linearised about the prior; then Gauss-Newton.
 PASSES = 3
@@ -432,7 +438,7 @@ def _final_rows(
         build,
         layout,
         windows,
-        NOISY_CHANNELS,
+        NOISY_CHANNELS if build.drift is None else NOISY_CHANNELS + ACCELERATION,
         candidates=build.parameters.candidates,
     )
 

@@ -92,12 +92,14 @@ CHUNK = 512
 REPLAYED_BLOCKS = 8
 MOST_DOUBLINGS = 3
 
-Channel = Literal["position", "angular_velocity", "effort", "wrenches"]
+Channel = Literal["position", "angular_velocity", "effort", "wrenches", "linear_acceleration"]
 # Channels that are differentiated, whose noise enters the regressor. The accelerometer is excluded:
 # its averaged noise is small compared with gravity, and vibration of the base fills all its bands.
 MOTION: tuple[Channel, ...] = ("position", "angular_velocity")
 # Channels whose noise also enters the columns of sensor gains.
 FORCES: tuple[Channel, ...] = ("effort", "wrenches")
+# Beside offsets that drift, gravity does not tell masses: accelerations do, and their noise counts.
+ACCELERATION: tuple[Channel, ...] = ("linear_acceleration",)
 
 # The quietest of these equal bands, from this share of the rate up to half of it, is assumed to
 # hold only noise. Vibration rarely fills all of them.

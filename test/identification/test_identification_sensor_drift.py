@@ -159,6 +159,31 @@ def test_walks_are_identified_of_the_sensors_that_drift(found, parameters, error
     assert np.sqrt(np.mean(z[-len(names) :][known] ** 2)) < 1.6
 
 
+def test_masses_are_not_too_small_beside_a_noisy_accelerometer(
+    parameters, perfect, errors, possible, truth, monkeypatch
+):
+    """Offsets that drift resemble weights, so accelerations tell the masses, and their noise."""
+    # Gaps would let the usual choice of blocks represent more or fewer than there are.
+    monkeypatch.setattr("symbid_ros.signals.weak_form.represented_blocks", lambda _: 1)
+    theta, changes = truth
+    total = np.zeros(len(parameters))
+    total[: parameters.inertial : 10] = 1.0
+    deviations = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        segments = [
+            drifting(spoilt(one, errors, theta), errors, possible, changes) for one in perfect
+        ]
+        segments = [noisy(one, rng, **LEVELS | {"acceleration": 2.0}) for one in segments]
+        found = calibrated(parameters, segments)
+        after = posterior(found.observations[-1], found.prior, count=len(parameters))
+        error = after.mean[: len(parameters)] - parameters.values
+        std = np.linalg.norm(total @ after.independent_factor[: len(parameters)])
+        deviations.append(total @ error / std)
+    # The mean of four has a deviation of 0.5; without the noise of the accelerometer it is -1.7.
+    assert np.abs(np.mean(deviations)) < 1.2
+
+
 def test_predictions_use_the_values_at_the_end(found, parameters, errors, possible, truth):
     identified = Solver.of(found).map()
     predictor = ForcePredictor.of(identified, parameters)
