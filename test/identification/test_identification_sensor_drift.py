@@ -1,5 +1,6 @@
 """Offsets and biases that drift during a log: their columns, their choice, and predictions."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -199,6 +200,8 @@ def test_predictions_use_the_values_at_the_end(found, parameters, errors, possib
         return np.linalg.norm(residual)
 
     assert error(predictor.unknowns) < 0.1 * error(at_start)
+    said = identified.estimate.verdict.describe_drift()
+    assert re.match(r"12 sensor errors drift, wrench_\d/plate_offset_force_. most clearly: ", said)
     # Saved results are read again by these shapes.
     assert identified.calibration.factor.shape[0] == len(predictor.sensor_names)
     assert len(identified.calibration.linearization) == len(identified.unknowns)
