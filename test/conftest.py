@@ -2,6 +2,7 @@
 
 import contextlib
 import fcntl
+import gc
 import io
 import logging
 import os
@@ -161,6 +162,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         key=lambda item: rank.get(item.path.name, len(LONGEST)),
         reverse=not is_worker,
     )
+
+
+def pytest_collection_finish() -> None:
+    # Modules and collected tests live until the end: without them in each search for garbage, and
+    # with fewer searches, the tests need about a tenth less processor time.
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(10_000)
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from declared_environment import build_wheel, install
 from documented_robots import ur5_urdf
 from packaging.requirements import Requirement
 
+from symbid_ros.dynamics import compiled_kernel
 from symbid_ros.ros.launch_arguments import launch_arguments
 
 PACKAGE = "symbid_ros"
@@ -411,12 +412,20 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_wheel(tmp_path_factory.mktemp("wheel"))
 
 
-def run_in(folder: Path, *words: object, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Run a command as from a fresh shell, with some more variables."""
+@pytest.fixture(scope="module")
+def compiled() -> str:
+    """Return the folder of the compiled kernel, which equals that of the wheel."""
+    compiled_kernel.load_kernel()  # compiled, unless it was kept
+    file = f"kernel-{compiled_kernel._fingerprint()}.o"
+    return str(next(one for one in compiled_kernel._folders() if (one / file).is_file()))
+
+
+def run_in(folder: Path, compiled: str, *words: object) -> subprocess.CompletedProcess[str]:
+    """Run a command as from a fresh shell, with the compiled kernel."""
     return subprocess.run(
         [str(word) for word in words],
         cwd=folder,
-        env=clean_environment() | variables,
+        env=clean_environment() | {compiled_kernel.FOLDER: compiled},
         capture_output=True,
         text=True,
         check=False,
@@ -425,8 +434,13 @@ def run_in(folder: Path, *words: object, **variables: str) -> subprocess.Complet
 
 FROM_ARRAYS = """
 import sys
+import numba
 import numpy as np
 import symbid_ros as sy
+
+# Numba compiles here; the kernel itself has been compiled before.
+assert numba.njit(lambda x: x + 1.0)(2.0) == 3.0
+from symbid_ros.dynamics import kernel
 
 robot = sy.load_model(sys.argv[1])
 time = np.arange(0.0, 20.0, 0.004)
@@ -447,12 +461,11 @@ print("identified")
 
 class TestWheel:
     def test_with_bags_identifies_and_reports(
-        self, wheel: Path, simulated: Callable[..., Path], tmp_path: Path
+        self, wheel: Path, compiled: str, simulated: Callable[..., Path], tmp_path: Path
     ) -> None:
         scripts = install(wheel, tmp_path / "environment", {"bags"})
         symbid, bag = scripts / "symbid", simulated("smooth", moves=1, motion_seed=21, noise_seed=5)
-        # The compiled kernel is tried without bags; each new environment compiles it anew.
-        run = partial(run_in, tmp_path, SYMBID_KERNEL="numpy")
+        run = partial(run_in, tmp_path, compiled)
         model = scripts.parent / "share" / PACKAGE / "config" / "symbitron.urdf"
         quick = ("--joint-terms", "none", "--no-holdout", "--out", "result")
         done = run(symbid, "identify", bag, "--model", model, *quick)
@@ -473,14 +486,15 @@ class TestWheel:
         assert done.returncode == 2
         assert "pip install 'symbid_ros[ros]'" in done.stderr
 
-    def test_alone_identifies_from_arrays(self, wheel: Path, tmp_path: Path) -> None:
+    def test_alone_identifies_from_arrays(self, wheel: Path, compiled: str, tmp_path: Path) -> None:
         """The core needs NumPy, SciPy, Numba, Clarabel, PyYAML; no bags, ROS or simulator."""
         scripts = install(wheel, tmp_path / "environment", set())
-        done = run_in(tmp_path, scripts / "python", "-c", FROM_ARRAYS, ur5_urdf())
+        run = partial(run_in, tmp_path, compiled)
+        done = run(scripts / "python", "-c", FROM_ARRAYS, ur5_urdf())
         assert done.returncode == 0, done.stderr
         assert done.stdout == "identified\n"
 
         # What needs an extra names it.
-        done = run_in(tmp_path, scripts / "symbid", "--version")
+        done = run(scripts / "symbid", "--version")
         assert done.returncode == 2
         assert "pip install 'symbid_ros[bags]'" in done.stderr
