@@ -164,6 +164,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     )
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Iterator[None]:
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return (yield)
+    # In a fresh checkout, the first worker writes the bytecode of tests and libraries, which takes
+    # most of its time here; the others wait and read it.
+    marker = Path(session.config.getoption("basetemp")).parent / "collected"
+    with marker.open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not marker.stat().st_size:
+            collected = yield
+            lock.write("by the first worker")
+            return collected
+    return (yield)
+
+
 def pytest_collection_finish() -> None:
     # Modules and collected tests live until the end: without them in each search for garbage, and
     # with fewer searches, the tests need about a tenth less processor time.

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
@@ -167,10 +168,24 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     description : str
         What the figure shows, for screen readers.
     """
+    FigureCanvasSVG(figure)  # measures text for the layout
+    fix_layout(figure)
     buffer = io.BytesIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     figure.savefig(buffer, format="svg", metadata=nothing)
     return embed_svg(buffer.getvalue(), name, description)
+
+
+def fix_layout(figure: Figure) -> None:
+    """Lay out a figure once.
+
+    Saving it would draw it twice, once for the layout; and a second layout would differ by
+    rounding and change the file.
+    """
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def embed_svg(svg: bytes, name: str, description: str) -> str:

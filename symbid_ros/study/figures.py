@@ -13,14 +13,20 @@ from symbid_ros.errors import StudyError
 from symbid_ros.report.content import METRICS, LinkErrors
 from symbid_ros.report.figures import POINTS, link_error_figure, link_means
 from symbid_ros.report.formatting import significant
-from symbid_ros.report.plotting import INK, Style, downsample, figure_style, scale_errors
+from symbid_ros.report.plotting import (
+    INK,
+    Style,
+    downsample,
+    figure_style,
+    fix_layout,
+    scale_errors,
+)
 from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study.checks import AccelerationCheck
 from symbid_ros.study.plotting import (
     WIDTH,
     CaptionedFigure,
     add_legend,
-    fix_layout,
     label_styles,
     line_options,
     marker_options,

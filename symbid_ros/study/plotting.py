@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from symbid_ros.atomic_write import write_through
-from symbid_ros.report.plotting import Style, assign_styles, embed_svg, figure_style
+from symbid_ros.report.plotting import Style, assign_styles, embed_svg, figure_style, fix_layout
 from symbid_ros.study.scores import REFERENCE
 from symbid_ros.study.thesis import TITLES
 
@@ -106,14 +106,6 @@ def stacked_panels(
         yield figure, panels
         figure.align_ylabels(panels)
         fix_layout(figure)
-
-
-def fix_layout(figure: Figure) -> None:
-    """Lay out a figure once; a second layout would differ by rounding and change the file."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-        figure.set_layout_engine(None)
 
 
 def label_styles(labels: Iterable[str]) -> dict[str, Style]:
