@@ -12,6 +12,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from browser import Browser, find_chromium, started_browser
@@ -242,24 +243,51 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="session")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Return the bag of a simulation; of all workers the first to ask records it."""
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Return the bag of a name; of all workers the first to ask makes and records its robot."""
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent  # the workers' folders lie side by side
 
-    def bag(scenario: str, **options: object) -> Path:
-        from symbid_ros.simulation.options import SimulateOptions
+    def bag(name: str, make: Callable[[], Any]) -> Path:
         from symbid_ros.simulation.recording import record
-        from symbid_ros.simulation.simulator import Simulator
 
-        path = folder / "_".join([scenario, *(f"{key}_{options[key]}" for key in sorted(options))])
-        with (folder / f"{path.name}.lock").open("w") as lock:
+        path = folder / name
+        with (folder / f"{name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not path.exists():
-                robot = {key: options[key] for key in ("payload",) if key in options}
-                motion = {key: value for key, value in options.items() if key not in robot}
-                record(Simulator(SimulateOptions(scenario, **motion), **robot), path)
+                record(make(), path)
         return path
 
     return bag
+
+
+@pytest.fixture(scope="session")
+def simulated(recorded: Callable[..., Path]) -> Callable[..., Path]:
+    """Return the bag of a simulation."""
+
+    def bag(scenario: str, **options: object) -> Path:
+        from symbid_ros.simulation.options import SimulateOptions
+        from symbid_ros.simulation.simulator import Simulator
+
+        robot = {key: options[key] for key in ("payload",) if key in options}
+        motion = {key: value for key, value in options.items() if key not in robot}
+        name = "_".join([scenario, *(f"{key}_{options[key]}" for key in sorted(options))])
+        return recorded(name, lambda: Simulator(SimulateOptions(scenario, **motion), **robot))
+
+    return bag
+
+
+@pytest.fixture(scope="session")
+def tree_log(recorded: Callable[..., Path]) -> Callable[[int, bool], tuple[Any, Path]]:
+    """Return a random robot of five links and its bag of 2.5 s."""
+
+    def log(seed: int, floating: bool) -> tuple[Any, Path]:
+        from random_robots import random_robot
+        from tree_simulation import TreeSimulation
+
+        robot = random_robot(seed, links=5, floating=floating, wrench_frames=seed)
+        name = f"tree_{seed}_{floating}"
+        return robot, recorded(name, lambda: TreeSimulation(robot, 2.5, seed))
+
+    return log

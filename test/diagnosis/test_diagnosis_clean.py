@@ -1,8 +1,7 @@
 """Nothing is found in logs in which nothing is wrong."""
 
 import pytest
-from random_robots import CONFIG, random_robot
-from tree_simulation import TreeSimulation
+from random_robots import CONFIG
 
 from symbid_ros.bags import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
@@ -11,7 +10,6 @@ from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.simulation.recording import record
 
 MODEL = load_model(CONFIG / "symbitron.xml")
 
@@ -57,9 +55,8 @@ def test_a_tare_excites_nothing_and_has_no_other_fault(simulated, options) -> No
 
 
 @pytest.mark.parametrize(("seed", "floating"), [(0, True), (1, True), (4, True), (2, False)])
-def test_nothing_is_found_in_the_log_of_any_tree(tmp_path, seed, floating) -> None:
-    robot = random_robot(seed, links=5, floating=floating, wrench_frames=seed)
+def test_nothing_is_found_in_the_log_of_any_tree(tree_log, tmp_path, seed, floating) -> None:
+    robot, log = tree_log(seed, floating)
     (tmp_path / "robot.xml").write_text(mjcf_text(robot))
-    record(TreeSimulation(robot, 2.5, seed), tmp_path / "log")
-    diagnosis = diagnose(bag_log([tmp_path / "log"]), load_model(tmp_path / "robot.xml"))
+    diagnosis = diagnose(bag_log([log]), load_model(tmp_path / "robot.xml"))
     assert [one.message for one in diagnosis.findings] == []

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from random_robots import random_robot
 from tree_simulation import TreeSimulation
 
 from symbid_ros.estimation.prior import draw_prior
@@ -17,17 +16,16 @@ from symbid_ros.simulation.recording import record
 
 
 @pytest.fixture(scope="module", params=[(0, True), (1, True), (4, True), (2, False)], ids=str)
-def tree(request, tmp_path_factory):
+def tree(request, tmp_path_factory, tree_log):
     """A random tree's model file, two bags of its ideal sensors and a prior."""
     seed, floating = request.param
     folder = tmp_path_factory.mktemp("tree")
-    robot = random_robot(seed, links=5, floating=floating, wrench_frames=seed)
+    robot, log = tree_log(seed, floating)
     (folder / "robot.xml").write_text(mjcf_text(robot))
     truth = ParameterSet(load_model(folder / "robot.xml"))
-    record(TreeSimulation(robot, 2.5, seed), folder / "log")
     record(TreeSimulation(robot, 0.8, seed + 100), folder / "other")
     draw_prior(truth, "percent", 25, seed).write(folder / "prior.json")
-    return folder, truth
+    return folder, log, truth
 
 
 METHODS = [
@@ -39,7 +37,7 @@ METHODS = [
 
 @pytest.mark.parametrize("chosen", METHODS, ids=lambda chosen: chosen["method"])
 def test_any_tree_is_identified_from_its_bag(tree, chosen, tmp_path):
-    folder, truth = tree
+    folder, log, truth = tree
     method = chosen["method"]
     options = IdentifyOptions(
         prior=folder / "prior.json",
@@ -47,7 +45,7 @@ def test_any_tree_is_identified_from_its_bag(tree, chosen, tmp_path):
         joint_terms=("none",),
         **chosen,
     )
-    prepared = BagRequest((folder / "log",), folder / "robot.xml", options).load()
+    prepared = BagRequest((log,), folder / "robot.xml", options).load()
     found = prepared.solve()
     motion = read_true_motion([folder / "other"], truth.model)
     vectors = {"found": found.estimate.value, "prior": prepared.prior.mean}
