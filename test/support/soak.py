@@ -265,7 +265,7 @@ def _difference(saved: Path, steps: int, folder: Path) -> float:
     expected = folder / "expected"
     command = [
         *(BIN / "symbid", "identify", folder / "undisturbed", "--model", MODEL),
-        *("--prior-percent", "25", "--out", expected),
+        *("--prior-percent", "25", "--no-holdout", "--out", expected),
     ]
     ended = subprocess.run(
         list(map(str, command)), capture_output=True, text=True, check=False, timeout=DEADLINE
