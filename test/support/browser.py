@@ -9,6 +9,7 @@ The fixture ``browser`` in test/conftest.py starts it once for each test file::
 """
 
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +21,9 @@ DESKTOP, PHONE = 1280, 390  # px
 NAMES = "chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 # Chromium's sandbox does not work for root in a container; all pages are the tests' own.
 ARGUMENTS = "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-dev-shm-usage"
+
+# Text of a PDF's page, and parts of the page that are kept elsewhere.
+_TEXT = re.compile(rb"\bBT\b.*?\bET\b|/\S+\s+Do\b", re.DOTALL)
 
 # A page that draws in WebGL without a graphics card gets this warning for each screenshot.
 _OF_SCREENSHOTS = "GPU stall due to ReadPixels"
@@ -72,14 +76,21 @@ class OpenPage:
         return self.tab.evaluate(_OVERFLOW, may_scroll)
 
     def printed_pages(self, read: int = 2) -> list[str]:
-        """Print on A4 and return the text of the first pages, and an empty text for each other.
-
-        To read a page full of figures takes a second.
-        """
+        """Print on A4 and return the text of the first pages, and an empty text for each other."""
         from pypdf import PdfReader
 
         document = PdfReader(BytesIO(self.tab.pdf(format="A4", print_background=True)))
-        return [page.extract_text() if i < read else "" for i, page in enumerate(document.pages)]
+        return [_text_of(page) if i < read else "" for i, page in enumerate(document.pages)]
+
+
+def _text_of(page) -> str:
+    """Return the text of a page of a PDF without parsing its figures, which takes a second."""
+    from pypdf.generic import DecodedStreamObject, NameObject
+
+    stream = DecodedStreamObject()
+    stream.set_data(b"\n".join(_TEXT.findall(page.get_contents().get_data())))
+    page[NameObject("/Contents")] = stream
+    return page.extract_text()
 
 
 class Browser:
