@@ -24,7 +24,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/log/ros
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup setup-dev demo test docs wheel fuzz mutants soak bench bench-peers lint clean
+.PHONY: setup setup-dev demo test pytest docs wheel fuzz mutants soak bench bench-peers lint ruff mypy clean
 
 setup: $(VENV)/.installed
 
@@ -33,7 +33,11 @@ setup-dev: $(VENV)/.installed-dev
 demo: setup
 	$(BIN)/symbid demo --overwrite
 
-test: lint
+# Mypy uses one processor: the tests run beside it.
+test: ruff
+	@$(MAKE) --no-print-directory --jobs=2 mypy pytest
+
+pytest: setup-dev
 	$(BIN)/python -m pytest -n 3 --dist loadfile
 
 FIRST ?= 0
@@ -80,9 +84,13 @@ $(PEERS)/.installed: bench/peers/requirements.txt | $(BIN)/python
 	$(PEERS)/bin/pip --disable-pip-version-check install --quiet -r bench/peers/requirements.txt
 	@touch $@
 
-lint: setup-dev
+lint: ruff mypy
+
+ruff: setup-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+mypy: setup-dev
 	$(BIN)/mypy
 
 clean:
