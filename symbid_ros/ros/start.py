@@ -1,5 +1,6 @@
 """Entry points of the executables; Ctrl-C ends each one quietly even while its libraries load."""
 
+import gc
 import os
 import signal
 import sys
@@ -23,6 +24,8 @@ def _run(node: str) -> None:
             raise
         print(f"{node}: {advice}; or source ROS 2's setup.bash", file=sys.stderr)
         sys.exit(2)
+    # Libraries live as long as the node: a search for garbage among them would pause it for 0.06 s.
+    gc.freeze()
     sys.exit(run())
 
 
