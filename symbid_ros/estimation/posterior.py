@@ -33,8 +33,9 @@ MAX_NOISE_SHARE = 0.75
 # half of the digits suffice.
 NEGLIGIBLE_EXCESS = 1e-6
 
-# Share of the largest information below which a direction is rounding.
-MIN_RELATIVE_INFORMATION = 1e-12
+# Information below which a direction is rounding, absolute (in prior deviations) or relative to the
+# best one.
+MIN_INFORMATION, MIN_RELATIVE_INFORMATION = 1e-6, 1e-12
 # Information below which a direction judges the prior with a limited weight, as the data know it to
 # ten prior deviations only: its pull counts as this many deviations at most. A small effect that
 # the model lacks would claim alone that the prior is wrong a hundredfold.
@@ -302,7 +303,7 @@ class _Square:
         # where H is G without the regressor's noise.
         H, gradient = R.T @ R - np.diag(ones), R.T @ (R @ x)
         values, V = np.linalg.eigh(self.G)
-        some = values > MIN_RELATIVE_INFORMATION * values[-1]
+        some = values > max(MIN_INFORMATION, MIN_RELATIVE_INFORMATION * values[-1])
         root = V[:, some] / np.sqrt(values[some])
         A, b = root.T @ H, root.T @ gradient
         others = len(self.g) - count
