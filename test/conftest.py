@@ -167,7 +167,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection(session: pytest.Session) -> Iterator[None]:
-    if "PYTEST_XDIST_WORKER" not in os.environ:
+    if not hasattr(session.config, "workerinput"):  # the environment of workers is inherited
         return (yield)
     # In a fresh checkout, the first worker writes the bytecode of tests and libraries, which takes
     # most of its time here; the others wait and read it.
