@@ -37,7 +37,7 @@ def read_tare(log: Log) -> dict[str, Tare]:
     Raises
     ------
     DataError
-        When there is no unloaded sensor, or a reading is NaN or infinite.
+        When every sensor is loaded, or a reading is NaN or infinite.
     """
     streams = log.streams()
     return tares_of(streams.wrenches, streams.source)

@@ -129,16 +129,13 @@ class _Reader:
     def _tree(self) -> tuple[int, list[int]]:
         """Return the root body of the moving tree and all its bodies in file order."""
         m = self.m
-        moving, objects = set[int](), set[int]()
-        for body in np.flatnonzero(m.body_jntnum).tolist():
-            (objects if self._joint_kinds(body) == [self.FREE] else moving).add(
-                int(m.body_rootid[body])
-            )
-        objects -= moving
-        if not moving:
-            moving, objects = objects, set()
+        roots = m.body_rootid[m.jnt_bodyid]
+        moving = set(roots.tolist())
         if not moving:
             raise ModelError(f"{self.source}: no joint moves in this model; add joints", "E114")
+        jointed = set(roots[m.jnt_type != self.FREE].tolist())
+        objects = moving - jointed if jointed else set()
+        moving -= objects
         root = moving.pop() if len(moving) == 1 else 0
         members = [body for body in range(m.nbody) if m.body_rootid[body] not in objects]
         if root == 0 or (m.body_jntnum[root] and self.FREE not in self._joint_kinds(root)):
