@@ -7,7 +7,7 @@ information (errors in variables). Σ is the covariance of the residuals at the 
 x are computed alternately. The factor of the data suffices for that, without a second pass.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -57,6 +57,19 @@ class PseudoMeasurements:
     rows: FloatArray
     targets: FloatArray
     has_weighing: bool = False
+
+
+def stacked(
+    rows: PseudoMeasurements | None, more: PseudoMeasurements | None
+) -> PseudoMeasurements | None:
+    """Return the pseudo-measurements of both, those of ``rows`` first."""
+    if rows is None or more is None:
+        return more if rows is None else rows
+    return replace(
+        rows,
+        rows=np.vstack([rows.rows, more.rows]),
+        targets=np.append(rows.targets, more.targets),
+    )
 
 
 @dataclass(frozen=True)

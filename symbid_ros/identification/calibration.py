@@ -10,7 +10,7 @@ from symbid_ros.choices import KINEMATIC_ERRORS
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
+from symbid_ros.estimation.posterior import PseudoMeasurements, posterior, stacked
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.drift_evidence import drift_by_evidence
@@ -212,7 +212,7 @@ class ExtendedProblem:
         parameters, errors = self.problem.parameters, self.errors
         closed = closure_rows(stances, parameters, errors, point)
         changes = len(self.problem.prior.mean) - len(parameters) - len(errors)
-        return _stacked(self.problem.pseudo_measurements, _padded(closed, changes))
+        return stacked(self.problem.pseudo_measurements, _padded(closed, changes))
 
 
 def calibration_windows(rate: float) -> tuple[float, float]:
@@ -450,19 +450,6 @@ def _with_row(
     if rows is None:
         return PseudoMeasurements(row[None], np.array([target]))
     return PseudoMeasurements(np.vstack([rows.rows, row]), np.append(rows.targets, target))
-
-
-def _stacked(
-    rows: PseudoMeasurements | None, more: PseudoMeasurements | None
-) -> PseudoMeasurements | None:
-    """Return the pseudo-measurements of both."""
-    if rows is None or more is None:
-        return more if rows is None else rows
-    return replace(
-        rows,
-        rows=np.vstack([rows.rows, more.rows]),
-        targets=np.append(rows.targets, more.targets),
-    )
 
 
 def _padded(rows: PseudoMeasurements | None, count: int) -> PseudoMeasurements | None:

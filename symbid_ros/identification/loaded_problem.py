@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from symbid_ros.choices import SPRING, Method
@@ -38,6 +39,7 @@ from symbid_ros.identification.drive_gains import (
     initial_factors,
     named_joints,
 )
+from symbid_ros.identification.fast_motion import with_fast_motion
 from symbid_ros.identification.joint_terms import choose_terms
 from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks, ModelWatch, check_dataset
 from symbid_ros.identification.log_reading import (
@@ -103,6 +105,8 @@ class LoadedProblem:
         What the checks of the log found.
     digests : InputDigests or None
         Checksums of the input files, which a thread computes.
+    is_trial : bool
+        Whether only predictions are compared, for which slow motion suffices.
     """
 
     options: IdentifyOptions
@@ -115,6 +119,7 @@ class LoadedProblem:
     tares: Mapping[str, Tare]
     checks: LogChecks = NO_CHECKS
     digests: InputDigests | None = None
+    is_trial: bool = False
 
     @property
     def parameters(self) -> ParameterSet:
@@ -153,7 +158,7 @@ class LoadedProblem:
             checks=self.checks,
             is_trial=True,
         )
-        return replace(self, dataset=dataset, solver=solver)
+        return replace(self, dataset=dataset, solver=solver, is_trial=True)
 
     def solve(self, method: Method | None = None) -> Identification:
         """Identify with one method, by default that of the options."""
@@ -182,11 +187,16 @@ class LoadedProblem:
         provenance = Provenance.now(files, self.options, command)
         return replace(found, estimate=replace(found.estimate, provenance=provenance))
 
+    @cached_property
+    def _complete_solver(self) -> Solver:
+        """The solver, with motion that is faster than the windows."""
+        return self.solver if self.is_trial else with_fast_motion(self.solver, self.dataset)
+
     def _solve(self, method: Method) -> Identification:
         if method == "map_lmi":
-            return self.solver.map_lmi()
+            return self._complete_solver.map_lmi()
         if method == "map":
-            return self.solver.map()
+            return self._complete_solver.map()
         deviation = None
         if self.options.sensor_std is not None:
             sensors = SensorNoise(*self.options.sensor_std)

@@ -20,7 +20,7 @@ from symbid_ros.estimation.mass_scale import (
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.passive_drives import drive_bounds
 from symbid_ros.estimation.physical_consistency import consistent_minimum
-from symbid_ros.estimation.posterior import CONVERGED, Posterior, PseudoMeasurements
+from symbid_ros.estimation.posterior import CONVERGED, Posterior, PseudoMeasurements, stacked
 from symbid_ros.estimation.sandwich import with_correlated_residuals
 from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, select_rank
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
@@ -146,6 +146,15 @@ class Solver:
             chosen = replace(chosen, is_coupled=is_coupled)
             found = solve_window(problem, chosen, start, COMPARABLE, approximate=True)
         return cls(problem, chosen, _with_all_errors(problem, found, chosen))
+
+    def with_measurements(self, more: PseudoMeasurements) -> "Solver":
+        """Return the solution with further measurements of all unknowns."""
+        problem = replace(
+            self.problem,
+            pseudo_measurements=stacked(self.problem.pseudo_measurements, more),
+        )
+        found = solve_window(problem, self.chosen, self.posterior.mean, CONVERGED)
+        return replace(self, posterior=_with_all_errors(problem, found, self.chosen))
 
     @property
     def whiteness(self) -> float:

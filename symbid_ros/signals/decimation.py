@@ -155,12 +155,27 @@ def _response(low_pass: LowPass, rate: float, count: int) -> FloatArray:
 
 
 def low_passed(signal: FloatArray, low_pass: LowPass, rate: float) -> FloatArray:
-    """Return a long signal (M, c), low-passed with zero phase by FFT."""
-    reach = _reach(low_pass, rate)
-    padded = _odd_extension(signal, reach, reach)
+    """Return a long signal (M, ...), low-passed with zero phase by FFT."""
+    return derivatives(signal, low_pass, rate, 0)[0]
+
+
+def derivatives(
+    signal: FloatArray, low_pass: LowPass, rate: float, order: int
+) -> tuple[FloatArray, ...]:
+    """Return a long signal (M, ...), low-passed with zero phase by FFT, and its derivatives.
+
+    They are exact in the passband, where central differences are not.
+    """
+    reach, count = _reach(low_pass, rate), len(signal)
+    padded = _odd_extension(signal.reshape(count, -1), reach, reach)
     spectrum = np.fft.rfft(padded, axis=0)
     spectrum *= _response(low_pass, rate, len(padded))[:, None]
-    return np.fft.irfft(spectrum, len(padded), axis=0)[reach : reach + len(signal)]
+    slope = 2j * np.pi * np.fft.rfftfreq(len(padded), 1 / rate)[:, None]
+    found = []
+    for power in range(order + 1):
+        values = np.fft.irfft(slope**power * spectrum if power else spectrum, len(padded), axis=0)
+        found.append(values[reach : reach + count].reshape(signal.shape))
+    return tuple(found)
 
 
 def _anti_alias(decimator: Decimator) -> FloatArray:

@@ -326,8 +326,8 @@ def block_rows(
         return smoothed(of, low_pass, edge) if full_rate else decimated(of, decimator, similar)
 
     readings = samples(block, None)
-    centres = _centres(block.stamp[-1 - edge] - block.stamp[edge], windows)
-    weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
+    centres = window_centres(block.stamp[-1 - edge] - block.stamp[edge], windows)
+    weights = [hann_weights(readings, *window) for window in zip(centres, windows, strict=True)]
     mean = _averages_of(build, readings, weights)
     noisy: Sequence[Average | None] = [None] * len(mean)
     represented = 1
@@ -406,13 +406,13 @@ def add_noise(segment: Segment, channels: Sequence[Channel]) -> Segment:
     return replace(segment, **noisy)
 
 
-def _centres(span: int, windows: Sequence[float]) -> list[FloatArray]:
-    """Return the centres of half-overlapping windows in ``span`` ns, s after its begin."""
+def window_centres(span: int, windows: Sequence[float]) -> list[FloatArray]:
+    """Return the centres of half-overlapping windows of each length in ``span`` ns, s."""
     last = span * 1e-9
     return [np.arange(length / 2, last - length / 2 + 1e-9, length / 2) for length in windows]
 
 
-def _hann(readings: SensorSamples, centres: FloatArray, length: float) -> csr_array:
+def hann_weights(readings: SensorSamples, centres: FloatArray, length: float) -> csr_array:
     """Return the weights (W, N) of samples in Hann windows around the centres (W,), s."""
     time = (readings.stamp - readings.stamp[0]) * 1e-9
     first = np.searchsorted(time, centres - length / 2, side="right")

@@ -12,6 +12,7 @@ from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples
 
 SLOWEST, FASTEST = 0.3, 1.5  # Hz
+SHAKING = 15.0, 110.0  # Hz
 
 
 def waves(rng, time, shape, size):
@@ -24,10 +25,22 @@ def waves(rng, time, shape, size):
     return value, rate, np.sum(-amplitude * omega**2 * np.sin(angle), axis=1)
 
 
-def analytic_samples(parameters, stamp, seed, wrench_frames=None):
+def shaken(rng, time, shape, size, order):
+    """Return sums of eight fast sines (N, *shape) and derivatives, the last of which has a size.
+
+    The value is differentiated ``order`` times.
+    """
+    omega, phase = 2 * np.pi * rng.uniform(*SHAKING, (8, *shape)), rng.uniform(0, 6, (8, *shape))
+    angle = np.multiply.outer(time, omega) + phase
+    derivatives = (np.sin(angle), omega * np.cos(angle), -(omega**2) * np.sin(angle))
+    return [np.sum(0.5 * size / omega**order * part, axis=1) for part in derivatives[: order + 1]]
+
+
+def analytic_samples(parameters, stamp, seed, wrench_frames=None, *, shaking=0.0):
     """Return exact motion at stamps (N,), ns, with the forces that the parameters need.
 
-    The first wrench sensor carries what the base needs, the others push as they like.
+    The first wrench sensor carries what the base needs, the others push as they like. All
+    accelerations also vibrate with a root mean square ``shaking``, rad/s² and m/s².
     """
     model, rng = parameters.model, np.random.default_rng(seed)
     time, joints = stamp * 1e-9, len(model.joints)
@@ -38,6 +51,14 @@ def analytic_samples(parameters, stamp, seed, wrench_frames=None):
     position, velocity, acceleration = waves(rng, time, (joints,), 0.8)
     omega, alpha, _ = waves(rng, time, (3,), 1.0)
     force = np.array([0, 0, 9.81]) + waves(rng, time, (3,), 2.0)[0]
+    if shaking:
+        parts = shaken(rng, time, (joints,), shaking, 2)
+        position, velocity, acceleration = map(
+            sum, zip((position, velocity, acceleration), parts, strict=True)
+        )
+        rate, slope = shaken(rng, time, (3,), shaking, 1)
+        omega, alpha = omega + rate, alpha + slope
+        force = force + shaken(rng, time, (3,), shaking, 0)[0]
     if not model.floating:
         omega, alpha, force = 0 * omega, 0 * alpha, np.tile(-model.gravity, (len(time), 1))
     samples = Samples(
@@ -138,12 +159,19 @@ def segment_of(readings, rate):
 
 
 def analytic_segment(
-    parameters, seconds, seed, *, rate=1000.0, start=0.0, imu_frames=("imu_link",)
+    parameters,
+    seconds,
+    seed,
+    *,
+    rate=1000.0,
+    start=0.0,
+    imu_frames=("imu_link",),
+    shaking=0.0,
 ):
     """Return what perfect sensors say of a motion, uniformly sampled from ``start``, s."""
     period = round(1e9 / rate)
     stamp = round(start * 1e9) + period * np.arange(round(seconds * rate), dtype=np.int64)
-    samples = analytic_samples(parameters, stamp, seed)
+    samples = analytic_samples(parameters, stamp, seed, shaking=shaking)
     imu_frames = imu_frames if parameters.model.floating else ()
     return segment_of(readings_of(parameters.model, samples, imu_frames), 1e9 / period)
 

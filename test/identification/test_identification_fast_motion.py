@@ -1,0 +1,106 @@
+"""Information in vibrations, against logs whose motion, forces and noise are known."""
+
+from dataclasses import replace
+
+import analytic_log
+import numpy as np
+import pytest
+from analytic_log import analytic_segment, noisy
+from random_robots import random_robot
+
+from symbid_ros.estimation.information import RowLayout
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.dataset import Dataset, observe
+from symbid_ros.identification.fast_motion import _fast_rows, _FastMotion, with_fast_motion
+from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.solver import Solver
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.sensor_samples import probed
+from symbid_ros.signals.weak_form import equation_rows
+
+ROBOT = ParameterSet(random_robot(11, 4))
+NOISE = {"position": 1e-5, "rate": 5e-3, "acceleration": 0.03, "effort": 0.1, "wrench": 1.0}
+JOINTS = len(ROBOT.model.joints)
+SEEDS = range(4)
+
+
+@pytest.fixture(autouse=True)
+def slow_moves(monkeypatch):
+    monkeypatch.setattr(analytic_log, "SLOWEST", 0.1)
+    monkeypatch.setattr(analytic_log, "FASTEST", 0.3)
+
+
+def log(seed, *, shaking=5.0, spoil=lambda segment: segment):
+    """Return a solution from slow motion, and its log."""
+    segment = analytic_segment(ROBOT, 12, seed, shaking=shaking)
+    segment = spoil(noisy(segment, np.random.default_rng(seed), **NOISE))
+    layout = RowLayout.of(ROBOT)
+    observations = observe([segment], equation_rows(ROBOT), layout, (0.161,))
+    prior = draw_prior(ROBOT, "percent", 25.0, seed)
+    solver = Solver.of(Problem(observations, ROBOT, prior))
+    return solver, Dataset("log", (segment,), probed(segment, ROBOT.model), observations)
+
+
+def normalised_square(solver):
+    """Return the mean square of the errors in standard deviations, and their volume in bits."""
+    L = np.linalg.cholesky(solver.posterior.deviation_factor @ solver.posterior.deviation_factor.T)
+    error = np.linalg.solve(L, solver.posterior.mean - ROBOT.values)
+    return np.mean(error**2), float(np.sum(np.log2(L.diagonal())))
+
+
+def test_vibrations_add_information_and_deviations_stay_right():
+    pairs = []
+    for seed in SEEDS:
+        solver, dataset = log(seed)
+        pairs.append(
+            [normalised_square(one) for one in (solver, with_fast_motion(solver, dataset))]
+        )
+    (slow, before), (fast, after) = np.mean(pairs, axis=0)
+    assert before - after > 25
+    # 4 draws of 40 directions: the standard deviation of a mean square is 0.11.
+    assert 0.6 < slow < 1.4
+    assert 0.6 < fast < 1.4
+
+
+def test_noise_of_the_motion_is_known_from_the_forces():
+    solver, dataset = log(0)
+    motion = _FastMotion.of(tuple(_fast_rows(solver, dataset)), solver)
+    expected = np.repeat([NOISE["position"], NOISE["rate"], NOISE["acceleration"]], [JOINTS, 3, 3])
+    assert np.allclose(np.sqrt(motion.variance[: len(expected)]), expected, rtol=0.1)
+
+
+def test_slow_motion_takes_no_further_step():
+    solver, dataset = log(0, shaking=0.0)
+    assert with_fast_motion(solver, dataset) is solver
+
+
+def test_bands_that_contradict_the_slow_motion_are_left_out():
+    """Efforts that are a millisecond late matter to fast motion alone."""
+
+    def late(segment):
+        return replace(segment, effort=np.roll(segment.effort, 1, axis=0))
+
+    solver, dataset = log(0, spoil=late)
+    motion = _FastMotion.of(tuple(_fast_rows(solver, dataset)), solver)
+    factor = solver.posterior.deviation_factor
+    found = [one.contradiction(factor) for one in motion.scores(solver.posterior.mean, 5)]
+    assert max(found) > 3.0
+    square, _ = normalised_square(with_fast_motion(solver, dataset))
+    assert square < 2.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"floating": False},
+        {"links": 1},
+    ],
+)
+def test_other_robots_are_solved_from_slow_motion_alone(change):
+    robot = ParameterSet(random_robot(11, **{"links": 4} | change))
+    segment = analytic_segment(robot, 5, 1, shaking=5.0)
+    segment = noisy(segment, np.random.default_rng(0), **NOISE)
+    observations = observe([segment], equation_rows(robot), RowLayout.of(robot), (0.161,))
+    solver = Solver.of(Problem(observations, robot, draw_prior(robot, "percent", 25.0, 1)))
+    dataset = Dataset("log", (segment,), probed(segment, robot.model), observations)
+    assert with_fast_motion(solver, dataset) is solver
