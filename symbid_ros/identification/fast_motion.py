@@ -49,9 +49,9 @@ INFORMATIVE = 0.05
 HANN = 1.5
 # Relative deviation of the variances of the motion's noise, which vibrations hide.
 SPREAD = 0.1
-STEPS, MAXIMISATIONS, RELAXATION = 4, 30, 1.6
+STEPS, MAXIMISATIONS, RELAXATION = 4, 30, 1.8
 # Windows from which the noise is estimated, at most.
-MOST_WINDOWS = 600
+MOST_WINDOWS = 300
 # Share of the mean variance that keeps covariances definite, and variances of unused coordinates.
 ROUNDING, UNUSED = 1e-9, 1e6
 
