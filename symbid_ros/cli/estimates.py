@@ -105,6 +105,7 @@ def identify(
     require_no_files(out, (*RESULT_FILES, *CALIBRATED), overwrite=overwrite)
     request = BagRequest(tuple(bags), require_model(model), options, log, base)
     if dask is None:
+        request = request.completed()
         with progress_shown():
             problem = request.load(out)
             problem, found = identify_with_holdout(problem)

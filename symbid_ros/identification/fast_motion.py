@@ -28,7 +28,7 @@ from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
 from symbid_ros.identification.window_comparison import COMPARABLE
-from symbid_ros.signals.fast_rows import LENGTH, Bands, ComplexArray, FastRows
+from symbid_ros.signals.fast_rows import LENGTH, SPACING, Bands, ComplexArray, FastRows
 from symbid_ros.signals.segments import RemoteSegments, Segment
 from symbid_ros.signals.sensor_samples import PROBE_PERIOD
 from symbid_ros.signals.weak_form import BLOCK, INFLATION, cut_into_blocks
@@ -68,9 +68,15 @@ def with_fast_motion(solver: Solver, dataset: Dataset) -> Solver:
     rows = tuple(_fast_rows(solver, dataset))
     if not rows:
         return solver
-    slow = solver.posterior
-    motion, found = _FastMotion.of(rows, solver), solver
-    scores = motion.scores(slow.mean, len(rows[0].bands))
+    try:
+        return _solved(_FastMotion.of(rows, solver), solver, dataset.source)
+    except np.linalg.LinAlgError:  # readings without noise
+        return solver
+
+
+def _solved(motion: "_FastMotion", solver: Solver, source: str) -> Solver:
+    slow, found = solver.posterior, solver
+    scores = motion.scores(slow.mean, len(motion.bands))
     used = _consistent(scores, slow.deviation_factor)
     bits = _bits(scores[:used], slow.deviation_factor, slow.prior.std)
     if bits < LEAST_BITS:
@@ -85,7 +91,7 @@ def with_fast_motion(solver: Solver, dataset: Dataset) -> Solver:
         if change @ change < COMPARABLE**2 * len(change):
             break
     highest = motion.bands.frequencies[used - 1]
-    logger.info("%s: fast motion up to %.0f Hz adds %.0f bits", dataset.source, highest, bits)
+    logger.info("%s: fast motion up to %.0f Hz adds %.0f bits", source, highest, bits)
     return found
 
 
@@ -341,10 +347,11 @@ def _fast_rows(solver: Solver, dataset: Dataset) -> Iterator[FastRows]:
 def effort_powers(block: Segment, bands: Bands) -> FloatArray:
     """Return the variances (J,) of white noise that had the efforts' power in the bands."""
     effort = np.nan_to_num(block.effort - block.effort.mean(axis=0))
-    power = np.abs(np.fft.rfft(np.hanning(len(block))[:, None] * effort, axis=0)) ** 2
+    window = np.hanning(len(block))
+    power = np.abs(np.fft.rfft(window[:, None] * effort, axis=0)) ** 2 / (window @ window)
     frequency = np.fft.rfftfreq(len(block), 1 / block.rate)
-    some = (frequency >= bands.frequencies[0]) & (frequency <= bands.frequencies[-1])
-    powers: FloatArray = power[some].mean(axis=0) / (np.sum(np.hanning(len(block)) ** 2))
+    some = np.abs(frequency - bands.frequencies.mean()) <= len(bands) * SPACING / 2
+    powers: FloatArray = power[some].mean(axis=0)
     return powers
 
 

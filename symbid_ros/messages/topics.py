@@ -113,7 +113,7 @@ class TopicSelection:
     def __post_init__(self) -> None:
         named = self.joints or (), self.imus or (), self.wrenches or (), self.poses
         for name in (each for names in named for each in names):
-            if _is_truth(name):
+            if is_truth(name):
                 raise BagError(
                     f"topic {name}: ground truth cannot be used for identification; name the topic "
                     "of a sensor",
@@ -260,7 +260,7 @@ class TopicSelector:
         if names is not None:
             return topic.msgtype == msgtype and _bare(topic.name) in map(_bare, names)
         is_named = ending is None or topic.name.rsplit("/", 1)[-1] == ending
-        return topic.msgtype == msgtype and is_named and not _is_truth(topic.name)
+        return topic.msgtype == msgtype and is_named and not is_truth(topic.name)
 
     def _find(
         self, msgtype: str, names: tuple[str, ...] | None, ending: str | None
@@ -312,5 +312,6 @@ def _bare(name: str) -> str:
     return name.lstrip("/")
 
 
-def _is_truth(name: str) -> bool:
+def is_truth(name: str) -> bool:
+    """Return whether a topic holds the ground truth of a simulation."""
     return TRUTH in name.split("/")

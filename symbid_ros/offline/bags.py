@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from symbid_ros.bags import bag_log, count_messages, read_streams, read_truth
+from symbid_ros.bags import bag_log, count_messages, join_names, read_streams, read_truth
 from symbid_ros.choices import Base
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.provenance import Provenance, option_values
@@ -20,11 +20,12 @@ from symbid_ros.identification.result import Result
 from symbid_ros.identification.rigid_sensors import RigidSensors
 from symbid_ros.identification.solver import Identification
 from symbid_ros.messages.log_options import LogOptions
-from symbid_ros.messages.topics import TopicSelection
-from symbid_ros.messages.types import IMU, ODOMETRY, POSE
+from symbid_ros.messages.topics import TopicSelection, is_truth
+from symbid_ros.messages.types import IMU, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.load import is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
+from symbid_ros.options import robot_file_line
 from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import TimeRange
@@ -56,10 +57,44 @@ def load_bag(
     OptionError
         When an option is invalid.
     """
+    paths = [Path(one) for one in ([bags] if isinstance(bags, str | Path) else bags)]
     options = options or LogOptions(**fields)
-    paths = [bags] if isinstance(bags, str | Path) else bags
+    if robot is not None:
+        options = with_wrench_topics(options, robot, paths)
+    return _open(paths, robot, options)
+
+
+def _open(bags: Sequence[Path], robot: RobotModel | None, options: LogOptions) -> Log:
     topics, part = TopicSelection.of(options), TimeRange(options.start, options.end)
-    return bag_log([Path(one) for one in paths], robot, topics, part)
+    return bag_log(bags, robot, topics, part)
+
+
+def with_wrench_topics(
+    options: LogOptions, robot: RobotModel, bags: Sequence[Path], *, has_contacts: bool = False
+) -> LogOptions:
+    """Return options that name the wrench topics of a floating robot's log if no name tells them.
+
+    Topics named ``wrench`` are used anyway. If there is none, all of that type are, unless contacts
+    of unknown wrench are named.
+    """
+    if options.wrench_topic or has_contacts or not robot.floating:
+        return options
+    counts = count_messages(bags)
+    topics = sorted(
+        topic.name
+        for topic, count in counts.items()
+        if count and topic.msgtype == WRENCH and not is_truth(topic.name)
+    )
+    if not topics or any(name.rsplit("/", 1)[-1] == "wrench" for name in topics):
+        return options
+    logger.warning(
+        "%s: no topic is named wrench, so %s count as the forces on the robot; give `wrench_topic` "
+        "to choose, or %s",
+        join_names(bags),
+        ", ".join(topics),
+        robot_file_line("wrench_topic", *topics),
+    )
+    return replace(options, wrench_topic=tuple(topics))
 
 
 def load_robot(model: Path, base: Base, bags: Sequence[Path]) -> RobotModel:
@@ -131,6 +166,22 @@ class BagRequest:
     log: LogOptions = field(default_factory=LogOptions)
     base: Base = "auto"
 
+    def completed(self) -> "BagRequest":
+        """Return the request with what follows from the bags: base and topics of wrenches.
+
+        A result records them, so that other logs can be compared with it.
+
+        Raises
+        ------
+        ModelError, BagError
+            When the model or a bag cannot be read.
+        """
+        robot = load_robot(self.model, self.base, self.bags)
+        contacts = bool(self.options.contacts)
+        log = with_wrench_topics(self.log, robot, self.bags, has_contacts=contacts)
+        is_open = self.base == "auto" and not is_mjcf(self.model)
+        return replace(self, log=log, base="fixed" if is_open and not robot.floating else self.base)
+
     def load(self, out: Path | None = None) -> LoadedProblem:
         """Read all inputs, after a check of the folder ``out`` for the results.
 
@@ -139,8 +190,9 @@ class BagRequest:
         SymbidError
             When a file, the data or an option is invalid.
         """
-        robot = load_robot(self.model, self.base, self.bags)
-        return load_problem(robot, load_bag(self.bags, robot, self.log), self.options, out)
+        request = self.completed()
+        robot = load_model(request.model, request.base)
+        return load_problem(robot, _open(self.bags, robot, request.log), self.options, out)
 
     def attributed(
         self, found: Identification, command: str, files: Sequence[Path] = ()

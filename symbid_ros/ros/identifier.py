@@ -102,7 +102,8 @@ def identify_bags(node: Node, values: dict[str, Any], stop: Event) -> None:
     bags = tuple(map(Path, given_texts(values["bag"])))
     out = given_path(values["out"])
     with interruptible(stop):  # long bags take minutes
-        request = BagRequest(bags, model, identify_options(values), log_options(values), base)
+        options, log = identify_options(values), log_options(values)
+        request = BagRequest(bags, model, options, log, base).completed()
         problem, found = identify_with_holdout(request.load(out))
         found = request.attributed(found, command_line())
     estimate = found.estimate

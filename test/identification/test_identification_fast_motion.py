@@ -30,10 +30,10 @@ def slow_moves(monkeypatch):
     monkeypatch.setattr(analytic_log, "FASTEST", 0.3)
 
 
-def log(seed, *, shaking=5.0, spoil=lambda segment: segment):
+def log(seed, *, shaking=5.0, noise=NOISE, spoil=lambda segment: segment):
     """Return a solution from slow motion, and its log."""
     segment = analytic_segment(ROBOT, 12, seed, shaking=shaking)
-    segment = spoil(noisy(segment, np.random.default_rng(seed), **NOISE))
+    segment = spoil(noisy(segment, np.random.default_rng(seed), **noise))
     layout = RowLayout.of(ROBOT)
     observations = observe([segment], equation_rows(ROBOT), layout, (0.161,))
     prior = draw_prior(ROBOT, "percent", 25.0, seed)
@@ -71,6 +71,11 @@ def test_noise_of_the_motion_is_known_from_the_forces():
 
 def test_slow_motion_takes_no_further_step():
     solver, dataset = log(0, shaking=0.0)
+    assert with_fast_motion(solver, dataset) is solver
+
+
+def test_readings_without_noise_are_solved_from_slow_motion_alone():
+    solver, dataset = log(0, noise={})
     assert with_fast_motion(solver, dataset) is solver
 
 

@@ -1,0 +1,75 @@
+"""Wrench topics of a floating robot's log whose names do not tell what they are."""
+
+import logging
+
+import pytest
+from foreign_bags import joint_state, wrench, write_rosbags
+from random_robots import CONFIG
+
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.messages.types import JOINT_STATE, WRENCH
+from symbid_ros.model.load import load_model
+from symbid_ros.offline.bags import BagRequest, load_bag, with_wrench_topics
+
+MODEL = CONFIG / "symbitron.urdf"
+FT = ("/ft/left", "/ft/right")
+
+
+@pytest.fixture
+def bag_of(tmp_path):
+    """Write a bag with wrenches on some topics."""
+
+    def write(*topics, empty=()):
+        messages = [
+            (topic, WRENCH, wrench(stamp, (0.0, 0.0, 200.0)))
+            for stamp in range(1_000_000, 20_000_000, 1_000_000)
+            for topic in topics
+        ]
+        names = load_model(MODEL).joint_names
+        position = [0.0] * len(names)
+        messages += [
+            ("/joint_states", JOINT_STATE, joint_state(stamp, names, position, (), position))
+            for stamp in range(1_000_000, 20_000_000, 1_000_000)
+        ]
+        return write_rosbags(tmp_path / "bag", messages, [(name, WRENCH) for name in empty])
+
+    return write
+
+
+def test_all_wrenches_count_if_none_is_named_wrench(bag_of, caplog):
+    bag = bag_of(*FT, empty=("/ft/unused",))
+    with caplog.at_level(logging.WARNING):
+        log = load_bag(bag, load_model(MODEL))
+    assert tuple(one.topic for one in log.streams().wrenches) == FT
+    assert f"so {', '.join(FT)} count as the forces on the robot" in caplog.text
+    assert 'wrench_topic: ["/ft/left", "/ft/right"] in robot.yaml' in caplog.text
+
+
+def test_a_result_records_the_topics(bag_of):
+    request = BagRequest((bag_of(*FT),), MODEL).completed()
+    assert request.log.wrench_topic == FT
+    assert request.completed() == request
+
+
+@pytest.mark.parametrize(
+    ("topics", "options", "base", "has_contacts"),
+    [
+        (("/left_foot/wrench", *FT), LogOptions(), "auto", False),
+        (FT, LogOptions(wrench_topic=("/ft/left",)), "auto", False),
+        (FT, LogOptions(), "fixed", False),
+        (FT, LogOptions(), "auto", True),
+        ((), LogOptions(), "auto", False),
+    ],
+)
+def test_names_options_fixed_bases_and_contacts_leave_them_out(
+    bag_of, topics, options, base, has_contacts
+):
+    robot = load_model(MODEL, base)
+    found = with_wrench_topics(options, robot, [bag_of(*topics)], has_contacts=has_contacts)
+    assert found is options
+
+
+def test_contacts_of_unknown_wrench_need_no_wrench_topic(bag_of):
+    options = IdentifyOptions(contact=("left_sole", "right_sole"))
+    assert BagRequest((bag_of(*FT),), MODEL, options).completed().log.wrench_topic == ()
