@@ -51,6 +51,7 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.prior import default_prior, draw_prior
 from symbid_ros.identification.intervals import HALF_WIDTH
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.warming import NODES
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint, error_columns
 from symbid_ros.signals.sensor_errors import SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples
@@ -178,6 +179,7 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
         model, log, joint_terms=(terms,), no_holdout=True, sensor_errors=setup.geometry
     )
     other = move(robot, feet, rng, 20.0, setup.rate, on_balls=on_balls)
+    other = replace(other, stamp=other.stamp + log_end(setup))  # the robot is warm
     true = torque(truth, other)
     noise = effort_deviation(truth, size, setup.effort_noise)
     force = FORCE if setup.has_foot_sensors else UNKNOWN
@@ -193,7 +195,7 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
         error(predicted(by_hand, other)),
         float(np.sqrt(np.mean(variance(by_hand, other)[slips])) / scale),
         float(np.sqrt(np.mean(least_variance(truth, motion, other, noise, force)[slips])) / scale),
-        scores(found, truth),
+        scores(found, truth, setup),
         found.alarms,
         placement_square(found, theta),
     )
@@ -396,10 +398,21 @@ def cold_friction(truth: sy.RobotModel, motion: Samples, share: float) -> FloatA
     ``share`` of the friction at the start is lost.
     """
     warm = np.array([joint.damping for joint in truth.joints])
-    decay = np.exp(-1e-9 * (motion.stamp - motion.stamp[0]) / WARM_UP)
-    left = (decay - decay[-1]) / (1 - decay[-1])
-    excess: FloatArray = share / (1 - share) * warm * left[:, None] * motion.velocity
+    time = 1e-9 * (motion.stamp - motion.stamp[0])
+    excess: FloatArray = warm * relative_excess(time, time[-1], share)[:, None] * motion.velocity
     return excess
+
+
+def relative_excess(time: FloatArray, end: float, share: float) -> FloatArray:
+    """Return by how much friction at times (N,), s, exceeds that at the end, over the latter."""
+    left = (np.exp(-time / WARM_UP) - np.exp(-end / WARM_UP)) / (1 - np.exp(-end / WARM_UP))
+    excess: FloatArray = share / (1 - share) * left
+    return excess
+
+
+def log_end(setup: Setup) -> int:
+    """Return a stamp after a log, ns."""
+    return round(1e9 * setup.seconds)
 
 
 def record(
@@ -537,7 +550,7 @@ def least_variance(
     return np.sum((columns(other)[:, first:] @ factor) ** 2, axis=2)
 
 
-def scores(found: sy.Result, truth: sy.RobotModel) -> FloatArray:
+def scores(found: sy.Result, truth: sy.RobotModel, setup: Setup) -> FloatArray:
     """Return the errors of determined parameters in standard deviations."""
     estimate = found.estimate
     links = ParameterSet(plain(truth))
@@ -548,6 +561,10 @@ def scores(found: sy.Result, truth: sy.RobotModel) -> FloatArray:
             f"{joint.name}/coulomb": joint.friction_loss,
             f"{joint.name}/armature": joint.armature,
         }
+        for percent in NODES:
+            time = np.array([percent / 100 * setup.seconds])
+            excess = joint.damping * relative_excess(time, setup.seconds, setup.warm_up).item()
+            true[f"{joint.name}/viscous_excess_{percent}"] = excess
     some = estimate.determined & (estimate.std > 0)
     exact = np.array([true.get(name, 0.0) for name in estimate.names])
     return (estimate.value - exact)[some] / estimate.std[some]

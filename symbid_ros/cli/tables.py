@@ -231,6 +231,7 @@ def _lines(estimate: Estimate, out: Path) -> list[RenderableType]:
         if terms := estimate.describe_terms():
             lines.append(Text(f"joint terms by evidence: {terms}"))
         lines += [Text(remark) for remark in estimate.remarks]
+        lines += [Text(line) for line in estimate.describe_warming()]
         lines += [Text(payload) for payload in estimate.describe_payloads()]
         lines += _verdict_lines(verdict, len(estimate.names) - len(estimate.fixed))
     if estimate.holdout is not None:

@@ -261,6 +261,7 @@ def describe_columns(parameters: ParameterSet) -> str:
             "link_side": parameters.link_side,
             "reference": parameters.load_reference.tolist(),
             "signed_drives": parameters.signed_drives,
+            "courses": parameters.courses,
         }
     )
 
@@ -409,7 +410,9 @@ def _parameters(log: str, columns: str) -> ParameterSet:
     """Return the columns that :func:`describe_columns` describes, of a log's robot."""
     content = json.loads(columns)
     return replace(
-        ParameterSet.of_names(_OpenLog.of(log).robot, content["names"]),
+        ParameterSet.of_names(
+            _OpenLog.of(log).robot, content["names"], [tuple(one) for one in content["courses"]]
+        ),
         candidates=content["candidates"],
         link_side=tuple(content["link_side"]),
         reference=np.array(content["reference"]),

@@ -289,7 +289,7 @@ def equation_residual(parameters: ParameterSet, samples: Samples, phi: FloatArra
     for coordinates, places, factor in _term_entries(parameters, samples):
         if len(np.unique(coordinates)) == len(coordinates):
             own[:, coordinates] += factor * phi[places]
-        else:  # of one joint's ripple
+        else:  # of one joint's ripple or warming
             own[:, coordinates[0]] += factor @ phi[places]
     for force in (*forces, own):
         model.fold_followers(force)
@@ -347,6 +347,11 @@ def _term_entries(
         places = np.arange(len(parameters))[own]
         coordinates = np.full(len(places), first + ripple.joint)
         yield coordinates, places, ripple.columns(samples.position)
+    for warming, own in parameters.warming_columns.items():
+        places = np.arange(len(parameters))[own]
+        coordinates = np.full(len(places), first + warming.joint)
+        factor = _joint_terms(parameters, samples)[warming.term][:, warming.joint, None]
+        yield coordinates, places, factor * warming.columns(samples.stamp)
     offset = parameters.sensor_offsets.start
     for place in parameters.model.wrist_sensors.values():
         # The effort of these joints is minus the reading, which contains the offset.

@@ -21,6 +21,7 @@ from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.ripple import RIPPLE_TERM
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.warming import WARMING_TERM, WARMING_TERMS, Course
 from symbid_ros.user_files import load_json
 
 MODEL_FILES = "model.urdf", "model.xml"
@@ -144,6 +145,8 @@ class Estimate:
         before it marks a sensor that reads the wrench of the robot on the payload.
     load_reference : dict of str to float
         Parameters of links from which the load of joints follows, if their friction depends on it.
+    courses : tuple of (int, int)
+        First and last stamp, ns, of each part of the log during which friction changes.
     contacts : tuple of str
         ``FRAME`` or ``FRAME:point`` of each contact whose wrench was not measured.
     provenance : Provenance or None
@@ -177,12 +180,14 @@ class Estimate:
     remarks: tuple[str, ...] = ()
     wrist_sensors: tuple[str, ...] = ()
     load_reference: dict[str, float] = field(default_factory=dict)
+    courses: tuple[Course, ...] = ()
     contacts: tuple[str, ...] = ()
     provenance: Provenance | None = None
 
     def parameters_of(self, model: RobotModel) -> ParameterSet:
         """Return the columns of a robot with the joint terms of this estimate."""
-        parameters = ParameterSet.of_names(model, self.names).with_known_values(self.known)
+        parameters = ParameterSet.of_names(model, self.names, self.courses)
+        parameters = parameters.with_known_values(self.known)
         if not self.load_reference:
             return parameters
         names = parameters.names[: parameters.inertial]
@@ -231,7 +236,34 @@ class Estimate:
         )
         if labels:
             parts.append(f"ripple (periods a turn of {', '.join(labels)})")
+        for term in WARMING_TERMS:
+            joints = [joint for (joint, kind), _ in self._changes.items() if kind == term]
+            if joints:
+                parts.append(f"change of {term} during the log ({', '.join(joints)})")
         return ", ".join(parts) or "none"
+
+    @property
+    def _changes(self) -> dict[tuple[str, str], int]:
+        """The first change of friction until the end of the log, by joint and term."""
+        found: dict[tuple[str, str], int] = {}
+        for index, name in enumerate(self.names):
+            joint, _, term = name.rpartition("/")
+            if match := WARMING_TERM.fullmatch(term):
+                found.setdefault((joint, match[1]), index)
+        return found
+
+    def describe_warming(self) -> tuple[str, ...]:
+        """Return lines with friction that changes, at the start and at the end of the log."""
+        lines = []
+        for (joint, term), index in self._changes.items():
+            last = float(self.value[self.names.index(f"{joint}/{term}")])
+            change = float(self.value[index])
+            std = "" if self.std is None else f" ± {self.std[index]:.2g}"
+            lines.append(
+                f"{term} friction of {joint} changes by {-change:.3g}{std} {self.units[index]} "
+                f"during the log, from {last + change:.3g} to {last:.3g}"
+            )
+        return tuple(lines)
 
     def describe_payloads(self) -> tuple[str, ...]:
         """Return lines with the payload behind each wrist sensor and the sensor's offset."""
@@ -295,6 +327,7 @@ class Estimate:
             "remarks": list(self.remarks),
             "wrist_sensors": list(self.wrist_sensors),
             "load_reference": self.load_reference,
+            "changes_ns": [list(one) for one in self.courses],
             "contacts": list(self.contacts),
             "provenance": _entry(self.provenance),
         }
@@ -359,6 +392,7 @@ def load_estimate(path: Path) -> Estimate:
             remarks=tuple(document.get("remarks", ())),
             wrist_sensors=tuple(map(str, document.get("wrist_sensors", ()))),
             load_reference=_numbers(document, "load_reference"),
+            courses=tuple((int(a), int(b)) for a, b in document.get("changes_ns", ())),
             contacts=tuple(map(str, document.get("contacts", ()))),
             provenance=_provenance(document.get("provenance")),
         )

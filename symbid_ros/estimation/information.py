@@ -63,7 +63,7 @@ class RowLayout:
             When no part of the robot can move.
         """
         model = parameters.model
-        samples = random_motions(model, 20)
+        samples = replace(random_motions(model, 20), stamp=parameters.typical_stamps(20))
         K = np.zeros((model.dof, len(parameters)))
         # Rows depend on which contacts touch something, if that is known.
         for touching in possible_states(model) or (None,):

@@ -154,10 +154,14 @@ def term_scale(parameters: ParameterSet) -> FloatArray:
     for coupling, terms in parameters.coupling_columns.items():
         pairs += [(term, joints[coupling.joints[0]]) for term in terms]
     ripples = [RIPPLE_STD] * (2 * len(parameters.ripples))
+    changes = [
+        _std_of(JOINT_TERMS[one.term], joints[one.joint])
+        for one in parameters.warming
+        for _ in one.terms
+    ]
     offsets = OFFSET_STD * len(parameters.model.wrist_sensors)
-    return np.array(
-        [*(_std_of(JOINT_TERMS[term], joint) for term, joint in pairs), *ripples, *offsets]
-    )
+    scales = [_std_of(JOINT_TERMS[term], joint) for term, joint in pairs]
+    return np.array([*scales, *ripples, *changes, *offsets])
 
 
 def _std_of(term: JointTerm, joint: Joint) -> float:

@@ -18,6 +18,7 @@ from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.ripple import Ripple
+from symbid_ros.model.warming import Warming
 
 # Log Bayes factor from which the evidence alone supports an armature.
 SUPPORTED = 2.0
@@ -262,6 +263,15 @@ def ripple_torques(parameters: ParameterSet) -> dict[Ripple, Effect]:
     }
 
 
+def changing_friction(parameters: ParameterSet) -> dict[Warming, Effect]:
+    """Return the effects of friction that changes during the log."""
+    first = 6 * parameters.model.floating
+    return {
+        one: Effect(tuple(range(columns.start, columns.stop)), (first + one.joint,))
+        for one, columns in parameters.warming_columns.items()
+    }
+
+
 def spring_torques(parameters: ParameterSet) -> dict[int, Effect]:
     """Return the effects of springs by joint: with its offset, a spring is relaxed anywhere."""
     first = 6 * parameters.model.floating
@@ -274,9 +284,13 @@ def spring_torques(parameters: ParameterSet) -> dict[int, Effect]:
 
 
 def predictive_effects(
-    found: Posterior, chosen: Observations, effects: Mapping[Key, Effect], free: BoolArray
+    found: Posterior,
+    chosen: Observations,
+    effects: Mapping[Key, Effect],
+    free: BoolArray,
+    least: float = LEAST_GAIN,
 ) -> tuple[Key, ...]:
-    """Return the effects that halve the square error of left-out rows of their coordinates.
+    """Return the effects that predict left-out rows of their coordinates better.
 
     The one that helps most is added first, until none helps any more.
 
@@ -290,6 +304,8 @@ def predictive_effects(
         By whatever names them.
     free : (p,) bool
         Parameters that are free without any effect.
+    least : float
+        Share of the square error that an effect must remove; half of it by default.
     """
     groups = chosen.groups
     assert groups is not None
@@ -301,7 +317,7 @@ def predictive_effects(
         return sum((_LeftOut(found, free, groups, part).without(None) for part in judges), 0.0)
 
     while True:
-        best, most, best_free = None, LEAST_GAIN, free
+        best, most, best_free = None, least, free
         for name, effect in effects.items():
             before = 0.0 if name in taken else error(effect, free)
             if before == 0:

@@ -175,7 +175,8 @@ def known_before(
         folder = options.information
         known = load_estimated_model(folder if folder.is_dir() else folder.parent, robot)
         unknown = set(known.parameters.terms) - set(DESIGN_TERMS)
-        further = known.parameters.couplings or known.parameters.ripples
+        found = known.parameters
+        further = found.couplings or found.ripples or found.warming
         if known.deviation_factor is None or unknown or further:
             raise OptionError(
                 f"{folder}: has no covariance of links, viscous, coulomb, armature and offset "

@@ -136,7 +136,9 @@ def initial_factors(
 
 def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:
     """Return a builder of rows [needed torque, q̇, sign q̇, 1] and the measured effort."""
-    bare = replace(parameters, terms=(), candidates=False, couplings=(), ripples=(), reference=None)
+    bare = ParameterSet(
+        parameters.model, link_side=parameters.link_side, payloads=parameters.payloads
+    )
     first = 6 * parameters.model.floating
 
     def build(readings: SensorSamples) -> Iterator[SampledRows]:

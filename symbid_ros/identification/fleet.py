@@ -16,7 +16,7 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import load_result_robot
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
-from symbid_ros.identification.stored_information import columns_of
+from symbid_ros.identification.stored_information import columns_of, with_constant_friction
 from symbid_ros.json_documents import versioned
 from symbid_ros.model.tree import RobotModel
 
@@ -83,6 +83,7 @@ def fleet(robot: RobotModel, data: Mapping[str, tuple[Observations, ...]]) -> Fl
         When the robots' data have other columns, or no length of windows in common.
     """
     # A robot may run at the same time as another one, so seconds may be equal.
+    data = {name: with_constant_friction(one) for name, one in data.items()}
     together: tuple[Observations, ...] = reduce(_merged, data.values())
     if together[0].slipping is None:
         terms = columns_of(robot, together).terms

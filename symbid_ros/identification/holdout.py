@@ -24,6 +24,7 @@ from symbid_ros.identification.report_series import (
 )
 from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import describe_change, validate_segments
+from symbid_ros.identification.warming import during
 from symbid_ros.progress import report
 from symbid_ros.signals.segments import RemoteSegments, Segment, split
 from symbid_ros.signals.weak_form import WINDOWS
@@ -148,8 +149,9 @@ def _hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOu
         processing = replace(processing, windows=(window,))
     else:
         training, held_out = tuple(training), tuple(held_out)
+    columns = during(problem.columns, training)
     trial = problem.trial_on(
-        fold_dataset(training, f"{dataset.source}, without its end", problem.columns, processing)
+        fold_dataset(training, f"{dataset.source}, without its end", columns, processing), columns
     )
     predictor = ForcePredictor.of(trial.solve(), trial.parameters)
     found = validate_segments(predictor, trace.of(held_out), f"{dataset.source}, its end")

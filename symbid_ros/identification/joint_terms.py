@@ -109,8 +109,8 @@ class TermChoice:
             names[joint]: tuple(term for term, place in columns.items() if self.free[place][index])
             for index, joint in enumerate(self.parameters.joints)
         }
-        for ripple in self.parameters.ripples:
-            joints[names[ripple.joint]] += ripple.terms
+        for one in self.parameters.further_columns:
+            joints[names[one.joint]] += one.terms
         return joints | {coupling.label: terms for coupling, terms in self._coupled.items()}
 
     def applied(self, problem: Problem) -> Problem:

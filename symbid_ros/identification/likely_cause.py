@@ -47,7 +47,7 @@ QUARTER, MOSTLY = 0.25, 0.5
 # Shorter logs do not tell a drive that warms up from other effects, ns.
 LEAST_WARMING = 60_000_000_000
 NO_OPTION = "no option models it, and the standard deviations allow for it"
-WARM = "identify a log, or the part after a later `start`, of drives that are warm"
+WARM = "leave `joint_terms` out, or identify the part after a later `start`, of warm drives"
 EFFECTS = {
     "viscous": "viscous friction",
     "warming": "viscous friction that changes during the log",

@@ -70,6 +70,7 @@ from symbid_ros.identification.stored_information import (
 )
 from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.identification.term_priors import candidate_prior
+from symbid_ros.identification.warming import find_warming
 from symbid_ros.model.load import model_files
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload, with_payloads
@@ -146,19 +147,19 @@ class LoadedProblem:
         )
         return replace(self, options=options, prior=prior, solver=solver, tares=tares)
 
-    def trial_on(self, dataset: Dataset) -> "LoadedProblem":
-        """Return the same problem with another log of the same columns, solved to few digits."""
+    def trial_on(self, dataset: Dataset, columns: ParameterSet) -> "LoadedProblem":
+        """Return the same problem with another log and its columns, solved to few digits."""
         solver = _build_solver(
             self.options,
             self.inputs,
-            self.columns,
+            columns,
             self.prior,
             dataset=dataset,
             tares=self.tares,
             checks=self.checks,
             is_trial=True,
         )
-        return replace(self, dataset=dataset, solver=solver, is_trial=True)
+        return replace(self, columns=columns, dataset=dataset, solver=solver, is_trial=True)
 
     def solve(self, method: Method | None = None) -> Identification:
         """Identify with one method, by default that of the options."""
@@ -266,6 +267,7 @@ def load_problem(
     for searches, find in (
         (options.finds_springs, _with_springs),
         (options.finds_couplings, _with_couplings),
+        (options.finds_warming, _with_warming),
         (options.finds_ripples, _with_ripples),
     ):
         if not searches or (more := find(parameters, solver, dataset)) is parameters:
@@ -296,6 +298,12 @@ def _with_springs(parameters: ParameterSet, solver: Solver, dataset: Dataset) ->
     if not shows_springs(solver, dataset):
         return parameters
     return replace(parameters, terms=(*parameters.terms, SPRING))
+
+
+def _with_warming(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
+    """Return the parameters with the changes of friction that a log shows."""
+    found = find_warming(solver, dataset)
+    return replace(parameters, warming=found) if found else parameters
 
 
 def _with_ripples(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:

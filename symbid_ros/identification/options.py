@@ -456,6 +456,11 @@ class IdentifyOptions(ContactOptions):
         return self.chooses_terms and self._searches
 
     @property
+    def finds_warming(self) -> bool:
+        """Whether friction that changes is searched for in the log."""
+        return self.chooses_terms and self._searches
+
+    @property
     def finds_compliance(self) -> bool:
         """Whether elasticity of joints is searched for in the log."""
         return not self._named_sensor_errors and self._searches

@@ -19,7 +19,10 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result_files import write_identification
 from symbid_ros.identification.solver import Identification
-from symbid_ros.identification.stored_information import merged_observations
+from symbid_ros.identification.stored_information import (
+    merged_observations,
+    require_constant_friction,
+)
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -162,6 +165,7 @@ class LogInformation:
 
     def merged(self, other: "LogInformation") -> "LogInformation":
         """Return the sum of both; see :func:`symbid_ros.merge`."""
+        require_constant_friction(self.observations, other.observations)
         return LogInformation(merged_observations(self.observations, other.observations))
 
     @property

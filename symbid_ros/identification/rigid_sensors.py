@@ -8,6 +8,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.model.coupling import couplings_in
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.ripple import ripples_in
+from symbid_ros.model.warming import warming_in
 from symbid_ros.model.wrist_sensors import without_wrist_sensors
 
 
@@ -40,6 +41,7 @@ class RigidSensors:
             model=rigid,
             couplings=couplings_in(names, rigid) if parameters.couplings else (),
             ripples=ripples_in(names, rigid),
+            warming=warming_in(names, rigid, parameters.courses),
             link_side=tuple(i for i, name in enumerate(rigid.joint_names) if name in side),
             reference=None,
         )

@@ -11,6 +11,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.joint_terms import rows_of
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.warming import is_change
 
 ALIKE = "identify both with the same model, joint terms and sensor errors"
 
@@ -46,6 +47,26 @@ def merged_observations(
             "E505",
         )
     return both
+
+
+def require_constant_friction(*runs: tuple[Observations, ...]) -> None:
+    """Raise an error if friction changed during the log of a run, in columns of its own."""
+    for name in (name for run in runs for name in run[0].layout.parameters):
+        if is_change(name):
+            raise EstimateError(
+                f"information: friction changed during one of the logs ({name}), which belongs to "
+                "that log; identify both bags in one run, or the other log with this `information`",
+                "E505",
+            )
+
+
+def with_constant_friction(observations: tuple[Observations, ...]) -> tuple[Observations, ...]:
+    """Return data without the columns of friction that changed during the log."""
+    names = tuple(one for one in observations[0].layout.parameters if not is_change(one))
+    return tuple(
+        replace(one.restricted(names), slipping=one.slipping and one.slipping.restricted(names))
+        for one in observations
+    )
 
 
 def columns_of(robot: RobotModel, observations: Sequence[Observations]) -> ParameterSet:

@@ -69,8 +69,8 @@ def candidate_prior(
         (coupling.joints, coupled.values())
         for coupling, coupled in parameters.coupling_columns.items()
     ] + [
-        ((ripple.joint,), range(columns.start, columns.stop))
-        for ripple, columns in parameters.ripple_columns.items()
+        ((one.joint,), range(columns.start, columns.stop))
+        for one, columns in parameters.further_columns.items()
     ]
     for affected, own in further:
         coordinates = [first + joint for joint in affected]

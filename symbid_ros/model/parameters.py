@@ -1,6 +1,6 @@
 """The parameter vector φ: the columns of the regressor, their names, units and values."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,6 +14,7 @@ from symbid_ros.model.inertia import PARAMETERS, UNITS
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.ripple import Ripple, ripples_in
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.warming import Course, Warming, warming_in
 from symbid_ros.model.wrist_sensors import COMPONENTS
 
 # Start of the names of wrist sensors' offsets.
@@ -27,7 +28,8 @@ class ParameterSet:
 
     Each link that is not virtual has ten parameters, base first. They are followed by one
     parameter per moving joint for each of ``terms``, by some of these terms for each coupling, by
-    two of each ripple, and by six offsets of each wrist sensor.
+    two of each ripple, by the changes of friction that warms up, and by six offsets of each wrist
+    sensor.
 
     Attributes
     ----------
@@ -45,6 +47,8 @@ class ParameterSet:
         Drives that turn with several joints, with friction and armature of their own.
     ripples : tuple of Ripple
         Torques that depend on a joint's angle and repeat several times in a turn.
+    warming : tuple of Warming
+        Friction that changes during a log.
     link_side : tuple of int
         Joints whose effort is measured behind the gear. It does not contain the armature.
     payloads : tuple of Payload
@@ -70,6 +74,7 @@ class ParameterSet:
     reference: FloatArray | None = None
     signed_drives: bool = False
     ripples: tuple[Ripple, ...] = ()
+    warming: tuple[Warming, ...] = ()
 
     def __post_init__(self) -> None:
         """Check and sort the terms."""
@@ -135,35 +140,63 @@ class ParameterSet:
         return self.first_coupled + len(coupled_terms(self.terms)) * len(self.couplings)
 
     @cached_property
+    def further_columns(self) -> dict[Ripple | Warming, slice]:
+        """The columns of each ripple, and of friction that changes."""
+        further: tuple[Ripple | Warming, ...] = (*self.ripples, *self.warming)
+        columns, start = {}, self.first_ripple
+        for one in further:
+            columns[one] = slice(start, start + len(one.terms))
+            start += len(one.terms)
+        return columns
+
+    @property
     def ripple_columns(self) -> dict[Ripple, slice]:
         """The two columns of each ripple."""
-        starts = (self.first_ripple + 2 * place for place in range(len(self.ripples)))
-        return {
-            ripple: slice(start, start + 2)
-            for ripple, start in zip(self.ripples, starts, strict=True)
-        }
+        return {one: self.further_columns[one] for one in self.ripples}
+
+    @property
+    def warming_columns(self) -> dict[Warming, slice]:
+        """The columns of friction that changes."""
+        return {one: self.further_columns[one] for one in self.warming}
+
+    @property
+    def courses(self) -> tuple[Course, ...]:
+        """Parts of the log during which friction changes."""
+        return self.warming[0].courses if self.warming else ()
+
+    def typical_stamps(self, count: int) -> IntArray:
+        """Return stamps (count,), ns, at which each column differs from zero at least once."""
+        inside = [start + (stop - start) // 5 for start, stop in self.courses]
+        return np.resize(np.array(inside or range(count), dtype=np.int64), count)
 
     @classmethod
-    def of_names(cls, model: RobotModel, names: Collection[str]) -> "ParameterSet":
-        """Return the parameters of a robot with the joint terms that occur in ``names``."""
+    def of_names(
+        cls, model: RobotModel, names: Collection[str], courses: Sequence[Course] = ()
+    ) -> "ParameterSet":
+        """Return the parameters of a robot with the joint terms that occur in ``names``.
+
+        ``courses`` are the parts of the log during which friction changes.
+        """
         return cls(
             model,
             terms_in(names),
             couplings=couplings_in(names, model),
             ripples=ripples_in(names, model),
+            warming=warming_in(names, model, courses),
         )
 
     @cached_property
     def sensor_offsets(self) -> slice:
         """Columns of the offsets of wrist sensors, in the order of their joints."""
-        first = self.first_ripple + 2 * len(self.ripples)
+        first = self.first_ripple + sum(len(one.terms) for one in self.further_columns)
         return slice(first, first + 6 * len(self.model.wrist_sensors))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names ``<link>/<m|mc_x|…|Izz>``, then ``<joint>/<term>`` by term, then couplings.
 
-        Ripples follow, ``<joint>/ripple<periods>_<sin|cos>``. The offsets of wrist sensors are
+        Ripples follow, ``<joint>/ripple<periods>_<sin|cos>``, and friction that changes,
+        ``<joint>/<viscous|coulomb>_excess_<0|10|30|60>``. The offsets of wrist sensors are
         last, ``<frame>/offset_<moment|force>_<x|y|z>``.
         """
         inertial = [f"{link}/{name}" for link in self.link_names for name in PARAMETERS]
@@ -173,12 +206,13 @@ class ParameterSet:
             f"{one.label}/{term}" for one in self.couplings for term in coupled_terms(self.terms)
         ]
         ripples = [f"{named[one.joint]}/{term}" for one in self.ripples for term in one.terms]
+        warming = [f"{named[one.joint]}/{term}" for one in self.warming for term in one.terms]
         offsets = [
             f"{frame}/{OFFSET}{component}"
             for frame in self.model.wrist_sensors
             for component in COMPONENTS
         ]
-        return (*inertial, *joint, *coupled, *ripples, *offsets)
+        return (*inertial, *joint, *coupled, *ripples, *warming, *offsets)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
@@ -194,8 +228,13 @@ class ParameterSet:
             for term in coupled_terms(self.terms)
         ]
         ripples = ("Nm",) * (2 * len(self.ripples))
+        warming = [
+            JOINT_TERMS[one.term].units[self.model.joints[one.joint].kind == "prismatic"]
+            for one in self.warming
+            for _ in one.terms
+        ]
         offsets = (("Nm",) * 3 + ("N",) * 3) * len(self.model.wrist_sensors)
-        return (*(UNITS * len(self.links)), *joint, *coupled, *ripples, *offsets)
+        return (*(UNITS * len(self.links)), *joint, *coupled, *ripples, *warming, *offsets)
 
     def __len__(self) -> int:
         return len(self.names)

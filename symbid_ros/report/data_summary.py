@@ -18,6 +18,7 @@ from symbid_ros.report.formatting import ABSENT, fixed, shared_decimals, signifi
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
 
+END = "the model has the friction at the end of the log"
 LARGEST_COM_STD = 1.0  # m; a larger deviation says nothing more
 
 
@@ -45,6 +46,11 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
         *(
             [SummaryEntry("Joint terms", terms, "; ".join(estimate.remarks), page="options.html")]
             if terms
+            else []
+        ),
+        *(
+            [SummaryEntry("Changing friction", changes, END, page="theory.html")]
+            if (changes := "; ".join(estimate.describe_warming()))
             else []
         ),
         *_holdout_entries(estimate.holdout),

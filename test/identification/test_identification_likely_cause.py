@@ -91,7 +91,10 @@ FAULTS = {
     ),
     "friction": Fault("Coulomb friction", options={"joint_terms": ("viscous",)}),
     "warming": Fault(
-        r"viscous friction that changes during the log, .* later `start`", extra=cold, seconds=75.0
+        r"viscous friction that changes during the log, .* leave `joint_terms` out, or identify",
+        extra=cold,
+        seconds=75.0,
+        options={"joint_terms": ("viscous", "coulomb", "armature")},
     ),
     "strange": Fault("none of these explains it", extra=strange),
 }

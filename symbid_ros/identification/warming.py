@@ -1,0 +1,90 @@
+"""Finds friction that changes during a log, when the joints' terms leave residuals.
+
+Drives warm up in minutes, and their friction falls. As for ripples, the change of a joint's viscous
+or Coulomb friction must improve the prediction of rows that are left out.
+"""
+
+import logging
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import product
+
+from symbid_ros.estimation.term_evidence import changing_friction, predictive_effects
+from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
+from symbid_ros.identification.dataset import Dataset
+from symbid_ros.identification.solver import Solver
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.warming import WARMING_TERMS, Warming, courses_of
+from symbid_ros.signals.segments import Segment, stamp_spans
+
+logger = logging.getLogger(__name__)
+
+# Shorter logs do not tell a drive that warms up from other effects, ns.
+SHORTEST = 60_000_000_000
+# Each part of a log has unknowns of its own. With more parts than these, there are too many.
+MOST_PARTS = 4
+# Share of the square error of left-out rows of its joint that a change must remove. Drives of a
+# robot warm up together: with one that does, less tells that another does, too.
+LEAST_GAIN, LEAST_BESIDE = 0.3, 0.02
+
+
+def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
+    """Return the friction that changes during a log.
+
+    Parameters
+    ----------
+    solver : Solver
+        Of the log, with chosen joint terms and constant friction.
+    dataset : Dataset
+        The log.
+
+    Returns
+    -------
+    tuple of Warming
+        Empty if the residuals are white noise, or the log is shorter than a minute.
+    """
+    choice = solver.problem.choice
+    if choice is None or choice.parameters.warming or not leaves_residuals(solver):
+        return ()
+    courses = courses_of(stamp_spans(dataset.segments))
+    if courses[-1][1] - courses[0][0] < SHORTEST or len(courses) > MOST_PARTS:
+        return ()
+    training = training_part(solver, dataset)
+    model = choice.parameters.model
+    sensors = {
+        joint
+        for place in model.wrist_sensors.values()
+        for joint in range(*place.indices(len(model.joints)))
+    }
+    joints = sorted(set(choice.parameters.joints.tolist()) - set(model.followers) - sensors)
+    tried = tuple(Warming(joint, term, courses) for joint, term in product(joints, WARMING_TERMS))
+    parameters = during(replace(choice.parameters, warming=tried), training)
+    trial = try_columns(solver, training, dataset.source, parameters, slips=choice.slips)
+    if trial is None:
+        return ()
+    effects, free = changing_friction(parameters), trial.free.copy()
+    found: tuple[Warming, ...] = ()
+    for least in (LEAST_GAIN, LEAST_BESIDE):
+        others = {one: effect for one, effect in effects.items() if one not in found}
+        found += predictive_effects(trial.found, trial.chosen, others, free, least)
+        if not found:
+            return ()
+        for one in found:
+            free[parameters.warming_columns[one]] = True
+    places = sorted((one.joint, one.term) for one in found)
+    logger.warning(
+        "%s: friction changes during the log (%s), as in drives that warm up, and is identified as "
+        "well; the model has that at the end of the log. Live runs take friction as constant",
+        dataset.source,
+        ", ".join(f"{term} of {model.joint_names[joint]}" for joint, term in places),
+    )
+    return tuple(Warming(joint, term, courses) for joint, term in places)
+
+
+def during(parameters: ParameterSet, segments: Iterable[Segment]) -> ParameterSet:
+    """Return the parameters with friction that changes during these segments and not later."""
+    if not parameters.warming or parameters.warming[0].is_of_another_log:
+        return parameters
+    courses = courses_of(stamp_spans(segments))
+    changed = tuple(replace(one, courses=courses) for one in parameters.warming)
+    return replace(parameters, warming=changed)

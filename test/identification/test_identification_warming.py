@@ -1,0 +1,174 @@
+"""Friction that changes while drives warm up, found and left behind at the end of a log."""
+
+import re
+
+import numpy as np
+import pytest
+from drive_logs import arm, drives, log_of
+
+import symbid_ros as sy
+from symbid_ros.errors import EstimateError
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.warming import NODES
+from symbid_ros.online.initial_state import InitialState
+from symbid_ros.report.data_summary import verdict_entries
+
+SECONDS = 64.0
+VISCOUS, COULOMB = 0.4, 0.8
+WARM = np.exp(-2.0)  # what is left of the change at the end
+
+
+def change(share):
+    """Return what friction exceeds its final value by, from 1 - WARM to 0."""
+    return np.exp(-2.0 * share) - WARM
+
+
+def cold(velocity, acceleration):
+    """Return more viscous friction of the first joint, and more Coulomb friction of the second."""
+    left = change(np.linspace(0, 1, len(velocity)))
+    torque = np.zeros_like(velocity)
+    torque[:, 0] = 0.5 * left * velocity[:, 0]
+    torque[:, 1] = 0.6 * left * np.sign(velocity[:, 1])
+    return torque
+
+
+EXCESS = {("joint_0", "viscous"): 0.5, ("joint_1", "coulomb"): 0.6}
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    path = tmp_path_factory.mktemp("warming") / "robot.urdf"
+    path.write_text(urdf_text(arm(seed=2, links=3)))
+    return sy.load_model(path, base="fixed")
+
+
+@pytest.fixture(scope="module")
+def log(robot):
+    truth = drives(robot, viscous=VISCOUS, coulomb=COULOMB)
+    return log_of(robot, truth, extra=cold, seconds=SECONDS)
+
+
+@pytest.fixture(scope="module")
+def found(robot, log):
+    return sy.identify(robot, log, unchecked=True, jobs=2)
+
+
+def test_the_joints_whose_friction_changes_are_found(robot, found) -> None:
+    parameters = ParameterSet.of_names(robot, found.estimate.names)
+    names = robot.joint_names
+    assert {(names[one.joint], one.term) for one in parameters.warming} == set(EXCESS)
+    for (joint, term), size in EXCESS.items():
+        for node in NODES[:-1]:
+            one = found.parameters[f"{joint}/{term}_excess_{node}"]
+            true = size * change(node / 100)
+            assert one.is_determined
+            assert abs(one.value - true) < max(4 * one.std, 0.01 * size)
+            assert one.unit == found.parameters[f"{joint}/{term}"].unit
+    assert not found.alarms
+
+
+def test_the_model_has_the_friction_at_the_end(robot, found) -> None:
+    for joint in robot.joint_names:
+        for term, true in (("viscous", VISCOUS), ("coulomb", COULOMB)):
+            one = found.parameters[f"{joint}/{term}"]
+            assert abs(one.value - true) < max(4 * one.std, 0.005 * true)
+    damping = [joint.damping for joint in found.robot.joints]
+    np.testing.assert_allclose(damping, VISCOUS, rtol=0.01)
+
+
+def test_the_end_of_the_log_is_predicted_with_the_friction_before_it(robot, log, found) -> None:
+    constant = sy.identify(
+        robot, log, unchecked=True, joint_terms=("viscous", "coulomb", "armature")
+    )
+    assert found.estimate.holdout.percent_after < 0.7 * constant.estimate.holdout.percent_after
+    assert "changes during the log" in constant.alarms[0]
+    assert "leave `joint_terms` out" in constant.alarms[0]
+
+
+def test_the_summary_tells_the_change(found) -> None:
+    number = r"(-?[.0-9]+)"
+    lines = found.estimate.describe_warming()
+    assert len(lines) == len(EXCESS)
+    for line, ((joint, term), size), last in zip(
+        lines, EXCESS.items(), (VISCOUS, COULOMB), strict=True
+    ):
+        said = re.fullmatch(
+            rf"{term} friction of {joint} changes by {number} ± {number} Nm(?: s/rad)? during the "
+            rf"log, from {number} to {number}",
+            line,
+        )
+        assert said, line
+        true = -size * change(0.0), last + size * change(0.0), last
+        values = [float(said[place]) for place in (1, 3, 4)]
+        np.testing.assert_allclose(values, true, rtol=0.02)
+    assert "change of viscous during the log (joint_0)" in found.estimate.describe_terms()
+    (entry,) = [one for one in verdict_entries(found.estimate) if one.name == "Changing friction"]
+    assert entry.value == "; ".join(lines)
+
+
+def test_constant_friction_stays_constant(robot) -> None:
+    truth = drives(robot, viscous=VISCOUS, coulomb=COULOMB)
+
+    def strange(velocity, acceleration):
+        """Leave residuals that no term explains."""
+        angle = np.cumsum(velocity, axis=0) / 200.0
+        return 0.5 * np.sin(7 * (angle + np.roll(angle, 1, axis=1)))
+
+    log = log_of(robot, truth, extra=strange, seconds=SECONDS)
+    plain = sy.identify(robot, log, unchecked=True, no_holdout=True)
+    assert plain.estimate.verdict.is_coloured
+    assert not ParameterSet.of_names(robot, plain.estimate.names).warming
+
+
+def test_drives_that_cooled_in_a_pause_warm_up_again(robot) -> None:
+    """From another temperature: the result has the friction at the end of the second part."""
+    size = np.array([1.0, 0.6])
+
+    def twice(velocity, acceleration):
+        left = size[:, None] * change(np.linspace(0, 1, len(velocity) // 2))
+        left[0] += 0.2
+        torque = np.zeros_like(velocity)
+        torque[:, 0] = left.ravel() * velocity[:, 0]
+        return torque
+
+    truth = drives(robot, viscous=VISCOUS, coulomb=COULOMB)
+    joints = log_of(robot, truth, extra=twice, seconds=SECONDS).streams().joints
+    time = 1e-9 * joints.stamp
+    time[len(time) // 2 :] += 100.0
+    log = sy.Log.from_arrays(robot, time=time, position=joints.position, effort=joints.effort)
+    found = sy.identify(robot, log, unchecked=True, no_holdout=True)
+    assert len(found.estimate.courses) == 2
+    assert not found.alarms
+    expected = {"viscous": VISCOUS, "viscous_excess_0": size[1] * change(0.0)}
+    expected |= {
+        f"viscous_excess_part1_{node}": 0.2 + size[0] * change(node / 100) for node in NODES
+    }
+    for term, true in expected.items():
+        one = found.parameters[f"joint_0/{term}"]
+        assert abs(one.value - true) < max(4 * one.std, 0.01)
+
+
+def test_a_saved_result_predicts_the_same_and_its_information_too(tmp_path, robot, found) -> None:
+    found.save(tmp_path / "result")
+    loaded = ForcePredictor.load(tmp_path / "result")
+    assert loaded.parameters.warming == found.predictor.parameters.warming
+    information = sy.LogInformation.load(tmp_path / "result/information.npz")
+    again = sy.identify(robot, information)
+    np.testing.assert_allclose(again.estimate.value, found.estimate.value, rtol=1e-9, atol=1e-12)
+    with pytest.raises(EstimateError, match="friction changed during one of the logs"):
+        information.merged(information)
+
+
+def test_a_further_log_is_one_of_the_warm_robot(tmp_path, robot, found) -> None:
+    found.information.save(tmp_path / "information.npz")
+    truth = drives(robot, viscous=VISCOUS, coulomb=COULOMB)
+    warm = log_of(robot, truth, seed=5, start=100.0)
+    earlier = tmp_path / "information.npz"
+    assert InitialState.of(robot, IdentifyOptions(information=earlier)).layout.parameters
+    both = sy.identify(robot, warm, unchecked=True, no_holdout=True, information=earlier)
+    one, other = found.parameters["joint_0/viscous"], both.parameters["joint_0/viscous"]
+    assert other.std < one.std
+    assert abs(other.value - VISCOUS) < 4 * other.std
