@@ -45,9 +45,9 @@ RIDGE = 1e-3
 QUARTER, MOSTLY = 0.25, 0.5
 
 # Shorter logs do not tell a drive that warms up from other effects, ns.
-LEAST_WARMING = 60_000_000_000
+LEAST_WARMING = 50_000_000_000
 NO_OPTION = "no option models it, and the standard deviations allow for it"
-WARM = "leave `joint_terms` out, or identify the part after a later `start`, of warm drives"
+WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of warm drives"
 EFFECTS = {
     "viscous": "viscous friction",
     "warming": "viscous friction that changes during the log",

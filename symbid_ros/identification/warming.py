@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from itertools import product
 
+from symbid_ros.choices import Term
 from symbid_ros.estimation.term_evidence import changing_friction, predictive_effects
 from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
 from symbid_ros.identification.dataset import Dataset
@@ -20,12 +21,16 @@ from symbid_ros.signals.segments import Segment, stamp_spans
 logger = logging.getLogger(__name__)
 
 # Shorter logs do not tell a drive that warms up from other effects, ns.
-SHORTEST = 60_000_000_000
+SHORTEST = 50_000_000_000
 # Each part of a log has unknowns of its own. With more parts than these, there are too many.
 MOST_PARTS = 4
-# Share of the square error of left-out rows of its joint that a change must remove. Drives of a
-# robot warm up together: with one that does, less tells that another does, too.
-LEAST_GAIN, LEAST_BESIDE = 0.3, 0.02
+# Shares of the square error of left-out rows of its joint that a change must remove. The drives of
+# a robot warm up together: if one does, any improvement tells that the grease of another does.
+LEAST_GAINS: tuple[tuple[float, tuple[Term, ...]], ...] = (
+    (0.5, WARMING_TERMS),
+    (0.0, ("viscous",)),
+    (0.05, ("coulomb",)),
+)
 
 
 def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
@@ -64,8 +69,10 @@ def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
         return ()
     effects, free = changing_friction(parameters), trial.free.copy()
     found: tuple[Warming, ...] = ()
-    for least in (LEAST_GAIN, LEAST_BESIDE):
-        others = {one: effect for one, effect in effects.items() if one not in found}
+    for least, terms in LEAST_GAINS:
+        others = {
+            one: effect for one, effect in effects.items() if one.term in terms and one not in found
+        }
         found += predictive_effects(trial.found, trial.chosen, others, free, least)
         if not found:
             return ()

@@ -91,7 +91,7 @@ FAULTS = {
     ),
     "friction": Fault("Coulomb friction", options={"joint_terms": ("viscous",)}),
     "warming": Fault(
-        r"viscous friction that changes during the log, .* leave `joint_terms` out, or identify",
+        r"viscous friction that changes during the log, .* leave `joint_terms` .* later `start`",
         extra=cold,
         seconds=75.0,
         options={"joint_terms": ("viscous", "coulomb", "armature")},

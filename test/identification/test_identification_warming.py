@@ -85,7 +85,7 @@ def test_the_end_of_the_log_is_predicted_with_the_friction_before_it(robot, log,
     )
     assert found.estimate.holdout.percent_after < 0.7 * constant.estimate.holdout.percent_after
     assert "changes during the log" in constant.alarms[0]
-    assert "leave `joint_terms` out" in constant.alarms[0]
+    assert "leave `joint_terms` and `sensor_errors` out" in constant.alarms[0]
 
 
 def test_the_summary_tells_the_change(found) -> None:
