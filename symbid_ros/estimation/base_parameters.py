@@ -7,7 +7,7 @@ kinematic tree and are found from noise-free random states. Noisy data would giv
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
 
@@ -121,7 +121,9 @@ def base_parameters(parameters: ParameterSet) -> BaseParameters:
         When no part of the robot can move.
     """
     p = len(parameters)
-    motions = random_motions(parameters.model, 20 + p // 4)
+    count = 20 + p // 4
+    motions = random_motions(parameters.model, count)
+    motions = replace(motions, stamp=parameters.typical_stamps(count))
     K = equation_of_motion(parameters, motions).K
     effect = np.sqrt(np.mean(np.sum(K**2, axis=1), axis=0))
     effect[effect < EFFECT_TOLERANCE * effect.max()] = 0.0

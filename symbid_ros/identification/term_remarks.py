@@ -82,7 +82,9 @@ def replaceable_terms(parameters: ParameterSet, free: BoolArray) -> tuple[str, .
     count = parameters.inertial
     model = replace(parameters.model, contacts=None)
     parameters = replace(parameters, model=model)
-    samples = random_motions(model, 3 * len(parameters) // model.dof + 10)
+    moments = 3 * len(parameters) // model.dof + 10
+    samples = random_motions(model, moments)
+    samples = replace(samples, stamp=parameters.typical_stamps(moments))
     K = equation_of_motion(parameters, samples).K
     K = K.reshape(-1, K.shape[2])
     terms = [i for i in range(count, parameters.sensor_offsets.start) if free[i]]

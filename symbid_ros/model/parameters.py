@@ -17,6 +17,8 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.warming import Course, Warming, warming_in
 from symbid_ros.model.wrist_sensors import COMPONENTS
 
+# Multiples of the golden section, without whole parts, are spread evenly between 0 and 1.
+SPREAD = 0.618034
 # Start of the names of wrist sensors' offsets.
 OFFSET = "offset_"
 _FIELDS = {term: each.field for term, each in JOINT_TERMS.items() if each.field}
@@ -165,9 +167,13 @@ class ParameterSet:
         return self.warming[0].courses if self.warming else ()
 
     def typical_stamps(self, count: int) -> IntArray:
-        """Return stamps (count,), ns, at which each column differs from zero at least once."""
-        inside = [start + (stop - start) // 5 for start, stop in self.courses]
-        return np.resize(np.array(inside or range(count), dtype=np.int64), count)
+        """Return stamps (count,), ns, spread over the parts of a log in which friction changes."""
+        index = np.arange(count)
+        if not self.courses:
+            return index
+        start, stop = np.array(self.courses).T[:, index % len(self.courses)]
+        stamps: IntArray = start + np.floor(SPREAD * index % 1 * (stop - start)).astype(np.int64)
+        return stamps
 
     @classmethod
     def of_names(

@@ -129,7 +129,7 @@ def warming_in(
         Warming(
             model.joint_names.index(joint),
             next(one for one in WARMING_TERMS if one == term),
-            tuple(courses) or tuple((100 * i - _AGO, 100 * i + 9 - _AGO) for i in range(count)),
+            tuple(courses) or tuple((2000 * i - _AGO, 2000 * i + 999 - _AGO) for i in range(count)),
         )
         for (joint, term), count in parts.items()
     )

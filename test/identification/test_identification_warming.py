@@ -10,13 +10,15 @@ import symbid_ros as sy
 from symbid_ros.errors import EstimateError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.stored_information import with_constant_friction
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.warming import NODES
+from symbid_ros.model.warming import NODES, is_change
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.report.data_summary import verdict_entries
 
 SECONDS = 64.0
+START = 1.7e9  # s, of a wall clock
 VISCOUS, COULOMB = 0.4, 0.8
 WARM = np.exp(-2.0)  # what is left of the change at the end
 
@@ -48,7 +50,7 @@ def robot(tmp_path_factory):
 @pytest.fixture(scope="module")
 def log(robot):
     truth = drives(robot, viscous=VISCOUS, coulomb=COULOMB)
-    return log_of(robot, truth, extra=cold, seconds=SECONDS)
+    return log_of(robot, truth, extra=cold, seconds=SECONDS, start=START)
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +70,9 @@ def test_the_joints_whose_friction_changes_are_found(robot, found) -> None:
             assert abs(one.value - true) < max(4 * one.std, 0.01 * size)
             assert one.unit == found.parameters[f"{joint}/{term}"].unit
     assert not found.alarms
+    assert not any("excess" in one for one in found.estimate.remarks)
+    grouped = found.estimate.verdict.base
+    assert {"joint_0/viscous", "joint_0/viscous_excess_60"} <= {one.name for one in grouped}
 
 
 def test_the_model_has_the_friction_at_the_end(robot, found) -> None:
@@ -160,12 +165,15 @@ def test_a_saved_result_predicts_the_same_and_its_information_too(tmp_path, robo
     np.testing.assert_allclose(again.estimate.value, found.estimate.value, rtol=1e-9, atol=1e-12)
     with pytest.raises(EstimateError, match="friction changed during one of the logs"):
         information.merged(information)
+    constant = with_constant_friction(information.observations)
+    assert not any(is_change(name) for name in constant[0].layout.parameters)
+    assert constant[0].slipping.layout.parameters == constant[0].layout.parameters
 
 
 def test_a_further_log_is_one_of_the_warm_robot(tmp_path, robot, found) -> None:
     found.information.save(tmp_path / "information.npz")
     truth = drives(robot, viscous=VISCOUS, coulomb=COULOMB)
-    warm = log_of(robot, truth, seed=5, start=100.0)
+    warm = log_of(robot, truth, seed=5, start=START + 100.0)
     earlier = tmp_path / "information.npz"
     assert InitialState.of(robot, IdentifyOptions(information=earlier)).layout.parameters
     both = sy.identify(robot, warm, unchecked=True, no_holdout=True, information=earlier)
