@@ -24,7 +24,7 @@ With `--kinematics` the joints of an arm's model file are displaced by up to 2 m
 to 0.3° about each axis, and their placements are estimated with the links. The bound knows them.
 
 With `--warm-up 30` viscous friction falls by 30 % during the log, most of it in the first minutes.
-The robot with the warm friction is judged.
+The robot with the warm friction is judged; `by hand` takes friction as constant.
 
 With `--no-foot-sensors` the logs of legged robots have no wrenches, and no option says where they
 stand. Torques are judged with the true wrenches. Feet that are balls in the model then touch the

@@ -336,22 +336,22 @@ def _term_entries(
             factor = np.broadcast_to(content[term], samples.velocity.shape)
             yield first + joints, np.arange(columns.start, columns.stop), factor[:, joints]
     for coupling, coupled in parameters.coupling_columns.items():
-        content = _coupled_terms(parameters, coupling, samples)
+        of_drive = _coupled_terms(parameters, coupling, samples)
         for joint, ratio in zip(coupling.joints, coupling.ratios, strict=True):
             if joint in parameters.link_side:
                 continue
             for term, column in coupled.items():
-                factor = ratio * content[term]
+                factor = ratio * of_drive[term]
                 yield np.array([first + joint]), np.array([column]), factor[:, None]
     for ripple, own in parameters.ripple_columns.items():
         places = np.arange(len(parameters))[own]
         coordinates = np.full(len(places), first + ripple.joint)
         yield coordinates, places, ripple.columns(samples.position)
+    shares = [one.columns(samples.stamp) for one in parameters.warming[:1]]  # alike for all
     for warming, own in parameters.warming_columns.items():
         places = np.arange(len(parameters))[own]
         coordinates = np.full(len(places), first + warming.joint)
-        factor = _joint_terms(parameters, samples)[warming.term][:, warming.joint, None]
-        yield coordinates, places, factor * warming.columns(samples.stamp)
+        yield coordinates, places, content[warming.term][:, warming.joint, None] * shares[0]
     offset = parameters.sensor_offsets.start
     for place in parameters.model.wrist_sensors.values():
         # The effort of these joints is minus the reading, which contains the offset.

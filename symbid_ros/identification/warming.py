@@ -46,13 +46,22 @@ def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
     Returns
     -------
     tuple of Warming
-        Empty if the residuals are white noise, or the log is shorter than a minute.
+        Empty if the residuals are white noise, or the log is short.
     """
     choice = solver.problem.choice
     if choice is None or choice.parameters.warming or not leaves_residuals(solver):
         return ()
     courses = courses_of(stamp_spans(dataset.segments))
-    if courses[-1][1] - courses[0][0] < SHORTEST or len(courses) > MOST_PARTS:
+    if courses[-1][1] - courses[0][0] < SHORTEST:
+        return ()
+    if len(courses) > MOST_PARTS:
+        logger.warning(
+            "%s: pauses of a minute and more divide it into %d parts, and friction that changes is "
+            "searched for in at most %d; identify fewer bags in one run",
+            dataset.source,
+            len(courses),
+            MOST_PARTS,
+        )
         return ()
     training = training_part(solver, dataset)
     model = choice.parameters.model

@@ -3,14 +3,14 @@
 The viscous friction of grease and seals falls by tens of percent while a drive warms up, and so
 does a part of Coulomb friction, in minutes to hours (Bittencourt et al. 2010, An extended friction
 model to capture load and temperature effects in robot joints, IROS; Simoni et al. 2015, Friction
-modeling with temperature effects for industrial robot manipulators, IROS; Pagani et al. 2020,
-Evaluation and modeling of the friction in robotic joints considering thermal effects, J. Mechanisms
-Robotics 12(2)). Temperatures are not measured, so friction is a smooth function of time, linear in
-its unknowns. With u the elapsed share of the log, the change until the end is a sum of (1-u),
-(1-u)², (1-u)⁴ and (1-u)¹⁰. They follow an exponential decay to 0.16 % (root mean square, of its
-height) for all time constants above a tenth of the log, and a steady change exactly. A random walk
-with knots a minute apart, as sensor errors have, cannot follow the decay in the first minute, and
-needs more unknowns in long logs.
+modeling with temperature effects for industrial robot manipulators, IROS; Simoni et al., Modelling
+the temperature in joint friction of industrial manipulators, Robotica, DOI
+10.1017/S0263574717000509). Temperatures are not measured, so friction is a smooth function of time,
+linear in its unknowns. With u the elapsed share of the log, the change until the end is a sum of
+(1-u), (1-u)², (1-u)⁴ and (1-u)¹⁰. They follow an exponential decay to 0.16 % (root mean square, of
+its height) for all time constants above a tenth of the log, and a steady change exactly. A random
+walk with knots a minute apart, as sensor errors have, cannot follow the decay in the first minute,
+and needs more unknowns in long logs.
 
 All of them vanish at the end of the log. ``viscous`` and ``coulomb`` are thus the friction at the
 end, that of the warm robot.

@@ -8,6 +8,7 @@ from drive_logs import arm, drives, log_of
 
 import symbid_ros as sy
 from symbid_ros.errors import EstimateError
+from symbid_ros.identification import warming
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.stored_information import with_constant_friction
@@ -128,12 +129,12 @@ def test_constant_friction_stays_constant(robot) -> None:
     assert not ParameterSet.of_names(robot, plain.estimate.names).warming
 
 
-def test_drives_that_cooled_in_a_pause_warm_up_again(robot) -> None:
-    """From another temperature: the result has the friction at the end of the second part."""
-    size = np.array([1.0, 0.6])
+@pytest.fixture(scope="module")
+def with_pause(robot):
+    """A log whose first joint is cold twice, and colder the first time."""
 
     def twice(velocity, acceleration):
-        left = size[:, None] * change(np.linspace(0, 1, len(velocity) // 2))
+        left = np.array([[1.0], [0.6]]) * change(np.linspace(0, 1, len(velocity) // 2))
         left[0] += 0.2
         torque = np.zeros_like(velocity)
         torque[:, 0] = left.ravel() * velocity[:, 0]
@@ -143,17 +144,26 @@ def test_drives_that_cooled_in_a_pause_warm_up_again(robot) -> None:
     joints = log_of(robot, truth, extra=twice, seconds=SECONDS).streams().joints
     time = 1e-9 * joints.stamp
     time[len(time) // 2 :] += 100.0
-    log = sy.Log.from_arrays(robot, time=time, position=joints.position, effort=joints.effort)
-    found = sy.identify(robot, log, unchecked=True, no_holdout=True)
+    return sy.Log.from_arrays(robot, time=time, position=joints.position, effort=joints.effort)
+
+
+def test_drives_that_cooled_in_a_pause_warm_up_again(robot, with_pause) -> None:
+    """The result has the friction at the end of the second part."""
+    found = sy.identify(robot, with_pause, unchecked=True, no_holdout=True)
     assert len(found.estimate.courses) == 2
     assert not found.alarms
-    expected = {"viscous": VISCOUS, "viscous_excess_0": size[1] * change(0.0)}
-    expected |= {
-        f"viscous_excess_part1_{node}": 0.2 + size[0] * change(node / 100) for node in NODES
-    }
+    expected = {"viscous": VISCOUS, "viscous_excess_0": 0.6 * change(0.0)}
+    expected |= {f"viscous_excess_part1_{node}": 0.2 + change(node / 100) for node in NODES}
     for term, true in expected.items():
         one = found.parameters[f"joint_0/{term}"]
         assert abs(one.value - true) < max(4 * one.std, 0.01)
+
+
+def test_a_log_with_many_pauses_is_not_searched(robot, with_pause, monkeypatch, caplog) -> None:
+    monkeypatch.setattr(warming, "MOST_PARTS", 1)
+    found = sy.identify(robot, with_pause, unchecked=True, no_holdout=True)
+    assert not found.estimate.courses
+    assert "divide it into 2 parts" in caplog.text
 
 
 def test_a_saved_result_predicts_the_same_and_its_information_too(tmp_path, robot, found) -> None:
