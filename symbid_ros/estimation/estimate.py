@@ -256,7 +256,8 @@ class Estimate:
         """Return lines with friction that changes, at the start and at the end of the log."""
         lines = []
         for (joint, term), index in self._changes.items():
-            last = float(self.value[self.names.index(f"{joint}/{term}")])
+            name = f"{joint}/{term}"
+            last = float(self.value[self.names.index(name)]) if name in self.names else 0.0
             change = float(self.value[index])
             std = "" if self.std is None else f" ± {self.std[index]:.2g}"
             lines.append(

@@ -409,7 +409,7 @@ class Solver:
             remarks=(*self.problem.remarks, *self._term_remarks()),
             wrist_sensors=sensor_names(parameters.model),
             load_reference=_load_reference(parameters),
-            courses=parameters.courses,
+            courses=tuple(one for one in parameters.courses if one[0] >= 0),  # of this log
             contacts=() if contacts is None else contacts.names,
         )
 

@@ -15,15 +15,13 @@ from symbid_ros.identification.candidate_trial import leaves_residuals, training
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.warming import WARMING_TERMS, Warming, courses_of
+from symbid_ros.model.warming import MOST_PARTS, WARMING_TERMS, Warming, courses_of
 from symbid_ros.signals.segments import Segment, stamp_spans
 
 logger = logging.getLogger(__name__)
 
 # Shorter logs do not tell a drive that warms up from other effects, ns.
 SHORTEST = 50_000_000_000
-# Each part of a log has unknowns of its own. With more parts than these, there are too many.
-MOST_PARTS = 4
 # Shares of the square error of left-out rows of its joint that a change must remove. The drives of
 # a robot warm up together: if one does, any improvement tells that the grease of another does.
 LEAST_GAINS: tuple[tuple[float, tuple[Term, ...]], ...] = (

@@ -24,6 +24,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.choices import Term
+from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
 
 # First and last stamp of a part of a log without long pauses, ns.
@@ -35,6 +36,8 @@ WARMING_TERMS: tuple[Term, ...] = ("viscous", "coulomb")
 POWERS = 1, 2, 4, 10
 # The unknowns are the changes at these percentages of a part, so that they can be read.
 NODES = 0, 10, 30, 60, 100
+# Each part of a log has unknowns of its own. With more parts than these, there are too many.
+MOST_PARTS = 4
 # Pause in which a drive cools, ns: friction may differ after it.
 PAUSE = 60_000_000_000
 
@@ -118,6 +121,11 @@ def warming_in(
     """Return the friction that changes, whose columns occur in parameter names.
 
     Without ``courses`` its log is unknown, and other logs are taken to be warm.
+
+    Raises
+    ------
+    ModelError
+        When the robot has no such joint.
     """
     parts: dict[tuple[str, str], int] = {}
     for name in names:
@@ -125,6 +133,13 @@ def warming_in(
         if match := WARMING_TERM.fullmatch(term):
             key = joint, match[1]
             parts[key] = max(parts.get(key, 1), 1 + int(match[2] or 0))
+    for (joint, term), count in parts.items():
+        if joint not in model.joint_names or count > MOST_PARTS:
+            raise ModelError(
+                f"{model.source}: {joint!r} has no {term} friction that changes in {count} parts "
+                "of a log; identify the log again with this robot",
+                "E117",
+            )
     return tuple(
         Warming(
             model.joint_names.index(joint),

@@ -173,6 +173,8 @@ def test_a_saved_result_predicts_the_same_and_its_information_too(tmp_path, robo
     information = sy.LogInformation.load(tmp_path / "result/information.npz")
     again = sy.identify(robot, information)
     np.testing.assert_allclose(again.estimate.value, found.estimate.value, rtol=1e-9, atol=1e-12)
+    assert len(again.estimate.describe_warming()) == len(EXCESS)
+    assert not again.estimate.courses
     with pytest.raises(EstimateError, match="friction changed during one of the logs"):
         information.merged(information)
     constant = with_constant_friction(information.observations)

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from random_robots import random_robot
 
-from symbid_ros.model.warming import NODES, PAUSE, Warming, courses_of
+from symbid_ros.errors import ModelError
+from symbid_ros.model.warming import NODES, PAUSE, Warming, courses_of, warming_in
 
 SECOND = 1_000_000_000
 LOG = ((1_700_000_000 * SECOND, 1_700_000_300 * SECOND),)
@@ -51,3 +53,11 @@ def test_each_part_has_a_change_of_its_own() -> None:
 def test_long_pauses_divide_a_log() -> None:
     spans = [(400, 500), (0, 100), (500 + PAUSE, 600 + PAUSE), (120, 150)]
     assert courses_of(spans) == ((0, 500), (500 + PAUSE, 600 + PAUSE))
+
+
+@pytest.mark.parametrize("name", ["wrist/viscous_excess_0", "{}/viscous_excess_part99999_0"])
+def test_changes_of_other_robots_are_refused(name) -> None:
+    robot = random_robot(2, links=3, floating=False, wrench_frames=0)
+    with pytest.raises(ModelError, match="friction that changes") as refusal:
+        warming_in([name.format(robot.joint_names[0])], robot)
+    assert refusal.value.code == "E117"
