@@ -232,26 +232,23 @@ class Effect:
     columns : tuple of int
     coordinates : tuple of int
         Coordinates whose rows judge it.
-    dissipates : bool
-        Whether negative coefficients are impossible.
+    positive : tuple of int
+        Columns whose coefficients cannot be negative.
     """
 
     columns: tuple[int, ...]
     coordinates: tuple[int, ...]
-    dissipates: bool = False
+    positive: tuple[int, ...] = ()
 
 
 def coupled_friction(parameters: ParameterSet) -> dict[Coupling, Effect]:
     """Return the effects of all couplings: friction of a drive that several joints turn."""
-    first = 6 * parameters.model.floating
-    return {
-        coupling: Effect(
-            tuple(columns[term] for term in FRICTION if term in columns),
-            tuple(first + joint for joint in coupling.joints),
-            dissipates=True,
-        )
-        for coupling, columns in parameters.coupling_columns.items()
-    }
+    first, effects = 6 * parameters.model.floating, {}
+    for coupling, columns in parameters.coupling_columns.items():
+        friction = tuple(columns[term] for term in FRICTION if term in columns)
+        coordinates = tuple(first + joint for joint in coupling.joints)
+        effects[coupling] = Effect(friction, coordinates, positive=friction)
+    return effects
 
 
 def ripple_torques(parameters: ParameterSet) -> dict[Ripple, Effect]:
@@ -264,12 +261,17 @@ def ripple_torques(parameters: ParameterSet) -> dict[Ripple, Effect]:
 
 
 def changing_friction(parameters: ParameterSet) -> dict[Warming, Effect]:
-    """Return the effects of friction that changes during the log."""
-    first = 6 * parameters.model.floating
-    return {
-        one: Effect(tuple(range(columns.start, columns.stop)), (first + one.joint,))
-        for one, columns in parameters.warming_columns.items()
-    }
+    """Return the effects of friction that changes during the log: it falls in each part."""
+    first, effects = 6 * parameters.model.floating, {}
+    for one, columns in parameters.warming_columns.items():
+        all_columns = tuple(range(columns.start, columns.stop))
+        starts = tuple(
+            column
+            for column, term in zip(all_columns, one.terms, strict=True)
+            if term.endswith("_0")
+        )
+        effects[one] = Effect(all_columns, (first + one.joint,), positive=starts)
+    return effects
 
 
 def spring_torques(parameters: ParameterSet) -> dict[int, Effect]:
@@ -325,7 +327,7 @@ def predictive_effects(
             more = free.copy()
             columns = list(effect.columns)
             more[columns] = True
-            if effect.dissipates and np.any(_conditional(found, more)[0][columns] < 0):
+            if np.any(_conditional(found, more)[0][list(effect.positive)] < 0):
                 continue
             gain = 1 - error(effect, more) / before
             if gain > most:
