@@ -21,6 +21,7 @@ VERSIONS = {
     "estimate": 1,
     "evaluation": 1,
     "fleet": 1,
+    "live_model": 1,
     "plan": 1,
     "prior": 1,
     "validation": 1,

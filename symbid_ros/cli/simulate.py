@@ -197,6 +197,23 @@ def udp_client(
         Path | None,
         typer.Option(help="MJCF model of the controller. Default: the package's Symbitron."),
     ] = None,
+    model_source: Annotated[
+        Path | None,
+        typer.Option(
+            help="File to which a running identifier writes its estimates (its parameter "
+            "live_model). They replace the model's inertias when they can be trusted; moves begin "
+            "small and widen as the deviations of mass and centre of mass shrink."
+        ),
+    ] = None,
+    largest_torque_change: Annotated[
+        float,
+        typer.Option(
+            min=0.01,
+            max=1.0,
+            help="Largest change of a torque that an identified model may cause, as a share of the "
+            "drive's limit.",
+        ),
+    ] = 0.25,
     timeout: Annotated[
         float, typer.Option(min=0.1, help="Seconds without a measurement after which it stops.")
     ] = 10.0,
@@ -213,13 +230,28 @@ def udp_client(
     from symbid_ros.simulation.udp_client import UdpClient
 
     controller = StandingController(
-        scenario, moves=moves, motion_seed=motion_seed, model_path=model
+        scenario,
+        moves=moves,
+        motion_seed=motion_seed,
+        model_path=model,
+        is_cautious=model_source is not None,
     )
-    with UdpClient(host, port, controller) as client:
+    models = None
+    if model_source is not None:
+        from symbid_ros.learning.model_file import ModelFile
+
+        models = ModelFile(
+            model_source, controller, largest_torque_change, lambda line: typer.echo(line, err=True)
+        )
+    with UdpClient(host, port, controller, models.update if models else None) as client:
         client.run(stop, timeout)
         counts = client.counts
-    typer.echo(
+    summary = (
         f"{host}:{port}: answered {counts.answered} measurements, repeated "
         f"{counts.repeated} answers; {counts.ignored} datagrams ignored, "
         f"{counts.unanswered} measurements without torques"
     )
+    if models is not None:
+        decisions = ", ".join(f"{count} {kind}" for kind, count in models.counts.items())
+        summary += f"; models: {decisions}"
+    typer.echo(summary)

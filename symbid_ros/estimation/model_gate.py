@@ -73,7 +73,8 @@ class CandidateModel:
         if self.mass_std is None or self.com_std is None:
             masses, moments = self.std[:, 0], self.std[:, 1:4]
             return np.sqrt([np.sum(masses**2), np.sum(moments**2)])
-        share = self.mass_std / float(np.sum(self.phi[:, 0]))
+        mass = float(np.sum(self.phi[:, 0]))
+        share = self.mass_std / mass if mass else np.inf
         return np.maximum([share, self.com_std], [NEGLIGIBLE_MASS, NEGLIGIBLE_COM])
 
 

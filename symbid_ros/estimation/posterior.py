@@ -371,6 +371,9 @@ def posterior(
     count = len(mean) if count is None else count
     has_two = empirical and prior.alone is not None
     L, share = prior.kinds_of_errors(count)
+    # As few residuals as these may be the prior's errors or noise, above all at rest: if all were
+    # noise, the prior would seem exact.
+    is_few = observations.rows.samples <= len(observations.rows.layout.coordinates)
     scale, logs = np.ones(len(mean)), None
     x = np.zeros(len(mean)) if start is None else np.linalg.solve(L, start - mean)
     # Weights and solution alternate. Most iterations are the early ones, which need fewer digits.
@@ -389,9 +392,12 @@ def posterior(
             evidence = square.evidence(count)
             if has_two:
                 logs = evidence.two_scales(share, logs)
+                if is_few:
+                    logs = np.maximum(logs, 0.0)
                 scale[:count] = np.sqrt(np.exp(2 * logs) @ (share, 1 - share))
             else:
-                scale[:count] = evidence.common_scale()
+                common = evidence.common_scale()
+                scale[:count] = max(common, 1.0) if is_few else common
         before = x
         x, factor = square.minimum(scale)
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))

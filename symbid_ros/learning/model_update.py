@@ -21,11 +21,26 @@ class Decision:
         Label of the model that the controller uses now; empty for that of its file.
     reason : str
         Why a model was refused or withdrawn.
+    reach : float
+        Share of the size of the moves from now on.
     """
 
     kind: str
     model: str
     reason: str = ""
+    reach: float = 1.0
+
+    @property
+    def message(self) -> str:
+        """The same as one line of a log."""
+        if self.kind == ACCEPTED:
+            return (
+                f"model {self.model} replaces the present one; moves have "
+                f"{100 * self.reach:.0f} % of their size"
+            )
+        if self.kind == WITHDRAWN:
+            return f"the model is withdrawn: {self.reason}"
+        return f"the identified model is not used: {self.reason}"
 
 
 class ModelUpdate:
@@ -94,7 +109,7 @@ class ModelUpdate:
 
     def _decide(self, kind: str, reason: str = "") -> Decision:
         self.counts[kind] += 1
-        return Decision(kind, self.used, reason)
+        return Decision(kind, self.used, reason, self._controller.wanted_reach)
 
     def _adopt(self, candidate: CandidateModel) -> str:
         """Let the controller use a model; return why not if it must not."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.estimation.change import LinkChange
-from symbid_ros.learning.candidate import RobotUncertainty, robot_uncertainty
+from symbid_ros.learning.candidate import RobotUncertainty
 from symbid_ros.messages.topics import Topic
 from symbid_ros.online.estimate import OnlineEstimate
 from symbid_ros.online.identification import OnlineIdentification
@@ -154,16 +154,22 @@ class IdentifierDiagnostics:
         self._estimate = NodeStatus("estimate", ERROR, message)
 
     def set_estimate(
-        self, live: OnlineIdentification, outcome: OnlineEstimate | None, solve_time: float
+        self,
+        live: OnlineIdentification,
+        outcome: OnlineEstimate | None,
+        known: RobotUncertainty | None,
+        solve_time: float,
     ) -> None:
-        """Set the newest estimate, or None for too few data, and its computing time, s."""
+        """Set the newest estimate, or None for too few data, and its computing time, s.
+
+        ``known`` is what the estimate knows of the whole robot.
+        """
         self._solved = time.monotonic()
         if outcome is None:
             self._estimate = NodeStatus("estimate", WARN, "too few data for an estimate")
             return
         newest = live.streams.joints.newest
         age = 0.0 if newest is None else (newest - outcome.until) * 1e-9
-        known = robot_uncertainty(outcome, live.posture())
         self._estimate = self._estimate_status(outcome, known, age, solve_time)
         self._sensors = _sensor_statuses(outcome)
         values = {"evidence": f"{live.evidence:.1f}"}

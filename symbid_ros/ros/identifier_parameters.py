@@ -58,6 +58,12 @@ PARAMETERS = (
         minimum=0.1,
         maximum=60.0,
     ),
+    Parameter(
+        "live_model",
+        "",
+        "Online: JSON file to which each estimate is written for controllers without ROS, such as "
+        "`symbid udp-client --model-source`; empty: none.",
+    ),
     Parameter("resume", "", "Online: information.npz of an earlier run to resume from."),
     Parameter(
         "settle",

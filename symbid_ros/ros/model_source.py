@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from symbid_ros.estimation.model_gate import CandidateModel
-from symbid_ros.learning.model_update import ACCEPTED, WITHDRAWN, ModelUpdate
+from symbid_ros.learning.model_update import ACCEPTED, ModelUpdate
 from symbid_ros.ros.endpoints import latched_qos, reliable_qos
 from symbid_ros.ros.monitor_messages import (
     IdentifierStatus,
@@ -84,14 +84,9 @@ class ModelSource:
             return
         logger = self._node.get_logger()
         if decision.kind == ACCEPTED:
-            logger.info(
-                f"model {decision.model} replaces the present one; moves have "
-                f"{100 * self._controller.wanted_reach:.0f} % of their size"
-            )
-        elif decision.kind == WITHDRAWN:
-            logger.warning(f"the model is withdrawn: {decision.reason}")
+            logger.info(decision.message)
         else:
-            logger.warning(f"the identified model is not used: {decision.reason}")
+            logger.warning(decision.message)
 
     def status(self) -> NodeStatus:
         """Return which model the controller uses."""

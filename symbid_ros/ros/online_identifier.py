@@ -14,12 +14,15 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
+from symbid_ros.atomic_write import check_output_file
 from symbid_ros.bags import bag_log
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.provenance import Provenance, command_line
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import check_output, export_urdf, write_identification
 from symbid_ros.identification.tares import Tare, read_tare
+from symbid_ros.learning.candidate import RobotUncertainty, candidate_model, robot_uncertainty
+from symbid_ros.learning.model_file import read_model, write_model
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
@@ -55,6 +58,7 @@ TARE_TIME = 2.0  # s over which the readings of unloaded sensors are averaged
 DISCOVERY_PERIOD = 0.1  # s between two looks at the graph before identification starts
 LATER_DISCOVERY_PERIOD = 1.0  # s afterwards
 MISSING_PERIOD = 2.0  # s until missing topics are reported
+WARNING_PERIOD = 10.0  # s between two warnings
 DESCRIPTION_PERIOD = 10.0  # s; viewers reload the whole robot for each description
 
 Answer = tuple[bool, str]
@@ -96,6 +100,12 @@ class OnlineIdentifier:
         self._out: Path | None = given_path(values["out"])
         if self._out is not None:
             check_output(self._parameters, self._out)
+        self._live_model = given_path(values["live_model"])
+        if self._live_model is not None:
+            check_output_file(self._live_model)
+            if self._live_model.exists():
+                read_model(self._live_model)  # no other file may be replaced
+            self._remove_live_model()
         self._period: float = values["solve_period"]
         self._sensors = SensorTopics(
             node,
@@ -255,7 +265,8 @@ class OnlineIdentifier:
                 raise
             return None
         spent = time.monotonic() - began
-        self._diagnostics.set_estimate(self._live, estimate, spent)
+        known = None if estimate is None else robot_uncertainty(estimate, self._live.posture())
+        self._diagnostics.set_estimate(self._live, estimate, known, spent)
         if estimate is not None:
             change = estimate.change
             self._change_reporter.update({} if change is None else {CHANGE: str(change)})
@@ -264,6 +275,8 @@ class OnlineIdentifier:
             if not exactly:
                 self._solve_time = spent
             self._publish(estimate, describe=exactly)
+            if self._live_model is not None and known is not None:
+                self._write_live_model(estimate, known, self._live_model)
         return estimate
 
     def _solve_exactly(self) -> OnlineEstimate:
@@ -282,6 +295,19 @@ class OnlineIdentifier:
         if describe or now - self._described >= DESCRIPTION_PERIOD:
             self._topics.describe(export_urdf(estimate, newest.parameters))
             self._described = now
+
+    def _write_live_model(
+        self, estimate: OnlineEstimate, known: RobotUncertainty, path: Path
+    ) -> None:
+        try:
+            write_model(path, candidate_model(estimate, known), known.time)
+        except SymbidError as error:  # identification does not depend on it
+            self._node.get_logger().warning(str(error), throttle_duration_sec=WARNING_PERIOD)
+
+    def _remove_live_model(self) -> None:
+        """Remove the file of an earlier run or of discarded data."""
+        if self._live_model is not None:
+            self._live_model.unlink(missing_ok=True)
 
     def _solve_on_request(self) -> str:
         return _summarize(self._solve_exactly())
@@ -331,6 +357,7 @@ class OnlineIdentifier:
     def _reset(self) -> str:
         self._live.reset()
         self._newest = None
+        self._remove_live_model()
         self._markers.clear()
         return "all data are discarded; prior and tares remain"
 

@@ -3,6 +3,7 @@
 import select
 import socket
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from threading import Event
@@ -68,6 +69,8 @@ class UdpClient:
         Address of the server.
     controller : StandingController
         Computes the torques.
+    between : callable or None
+        Called after each datagram has been answered, for example to look for a better model.
 
     Attributes
     ----------
@@ -80,9 +83,15 @@ class UdpClient:
         When the address cannot be resolved.
     """
 
-    def __init__(self, host: str, port: int, controller: StandingController) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        controller: StandingController,
+        between: Callable[[], object] | None = None,
+    ) -> None:
         self._where = f"udp {host}:{port}"
-        self._controller = controller
+        self._controller, self._between = controller, between
         self._hello = encode(Packet(COMMAND, HELLO, 0, np.zeros(len(controller.drive_names))))
         self._last: tuple[int, int] | None = None  # sequence and stamp of the last measurement
         self._command: bytes | None = None
@@ -122,6 +131,8 @@ class UdpClient:
             if datagram is not None:
                 received_at, hello_due = now, now + HELLO_PERIOD
                 self._process(datagram)
+                if self._between is not None:
+                    self._between()
                 continue
             if now - received_at > timeout:
                 raise SimulationError(

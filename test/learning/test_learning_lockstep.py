@@ -8,6 +8,7 @@ import pytest
 from bag_editing import topic_counts
 
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.learning import lockstep
 from symbid_ros.learning.lockstep import SMOOTH, LearningRecord, LearningRun, LearningTask
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
@@ -58,6 +59,16 @@ def test_moves_begin_small_and_widen_with_what_is_known(learning) -> None:
     first = learning.estimates[0]
     wanted = safe_reach(first.mass_std / first.mass, first.com_std, SIZE)
     assert least_reach(SIZE) < learning.reach[-1] < wanted
+
+
+def test_the_first_windows_at_rest_do_not_make_a_wrong_file_certain(task, monkeypatch) -> None:
+    """Two residuals can all be noise; nothing then says that the file's numbers are exact."""
+    monkeypatch.setattr(lockstep, "ESTIMATE_EVERY", 350)
+    estimates = LearningRun(replace(task, seconds=1.1), learns=True).run().estimates
+    assert len(estimates) == 3
+    truth = load_model(TRUTH).phi[:, 0].sum()
+    for known in estimates:
+        assert abs(known.mass - truth) < 3 * known.mass_std
 
 
 def test_the_bag_holds_all_topics_of_the_run(learning, bag) -> None:

@@ -4,6 +4,8 @@ test/simulation has the loop for itself, and lets it stand for longer.
 """
 
 import json
+import re
+import select
 import signal
 import socket
 import subprocess
@@ -17,6 +19,13 @@ from lossy_relay import LossyRelay
 from nav_msgs.msg import Odometry
 from udp_packets import DRIVES, command, hello, measurement, sequence_and_stamp
 
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.learning.model_file import read_model
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.package_paths import config_file
+
 COMMANDS, SIMULATION = "/mujoco_bridge: commands", "/mujoco_bridge: simulation"
 SECONDS = 4
 DEADLINE = 300.0  # s; only a hang takes longer
@@ -28,7 +37,7 @@ PATIENT = {
     "real_time_factor": 100.0,
 }
 
-Client = Callable[[int], "subprocess.Popen[str]"]
+Client = Callable[..., "subprocess.Popen[str]"]
 
 
 @pytest.fixture
@@ -36,8 +45,8 @@ def client() -> Iterator[Client]:
     """Start ``symbid udp-client`` on a port and end it with the test."""
     started: list[subprocess.Popen[str]] = []
 
-    def start(port: int) -> "subprocess.Popen[str]":
-        words = ["udp-client", "--port", str(port), "--timeout", "300"]
+    def start(port: int, *options: str) -> "subprocess.Popen[str]":
+        words = ["udp-client", "--port", str(port), "--timeout", "300", *options]
         started.append(
             subprocess.Popen(
                 [Path(sys.executable).parent / "symbid", *words],
@@ -109,6 +118,38 @@ def test_another_client_takes_over_after_a_kill(graph, client: Client) -> None:
     bridge.send(signal.SIGTERM)
     assert second.wait(DEADLINE) == 0
     assert bridge.ended().status == 0
+
+
+def test_a_client_takes_models_from_an_identifier(graph, client: Client, tmp_path) -> None:
+    """A client whose file is wrong by up to 25 % stands, also after its identifier has died."""
+    statuses = StatusProbe(graph)
+    parameters = ParameterSet(load_model(config_file("symbitron.xml")))
+    wrong = parameters.apply(draw_prior(parameters, "percent", 25.0, 2).mean)
+    model, source = tmp_path / "wrong.xml", tmp_path / "live.json"
+    model.write_text(mjcf_text(wrong, config_file("symbitron.xml")))
+    source.write_text("{}")  # a file that the identifier must not replace
+    refused = graph.start("identifier", model=str(model), live_model=str(source))
+    assert "live.json: not the file of an identifier" in refused.ended().err
+    source.unlink()
+    bridge = graph.start("mujoco_bridge", **PATIENT | {"real_time_factor": 1.0})
+    identifier = graph.start("identifier", model=str(model), live_model=str(source))
+    words = ("--model", str(model), "--model-source", str(source))
+    balancer = client(listening(graph, statuses), *words)
+    assert balancer.stderr is not None
+    graph.wait_until(lambda: select.select([balancer.stderr], [], [], 0.0)[0])
+    assert balancer.stderr.readline().startswith("model identified until ")
+    identifier.kill()  # the robot stands on with the last model
+    time = float(statuses.value(SIMULATION, "time"))
+    graph.wait_until(lambda: float(statuses.value(SIMULATION, "time")) > time + 1.5)
+    balancer.send_signal(signal.SIGINT)
+    summary = balancer.communicate(timeout=DEADLINE)[0]
+    assert re.search(r"models: [1-9] accepted, \d+ refused, \d+ withdrawn", summary)
+    bridge.send(signal.SIGINT)
+    assert json.loads(bridge.ended().out)["commands"]["falls"] == 0
+    found, _ = read_model(source)
+    assert found.mass_std is not None
+    truth = parameters.model.phi[:, 0].sum()
+    assert abs(found.phi[:, 0].sum() - truth) < 5 * found.mass_std
 
 
 def test_bad_datagrams_are_reported_and_ignored(graph) -> None:
