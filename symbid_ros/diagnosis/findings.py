@@ -55,6 +55,7 @@ class Kind(Enum):
     WRENCH_SIGN = "wrench_sign"
     WRENCH_FRAME = "wrench_frame"
     WRENCH_GAIN = "wrench_gain"
+    WRENCH_OFFSET = "wrench_offset"
     WRIST_SENSOR = "wrist_sensor"
     IMU_MOUNTING = "imu_mounting"
     ENCODER_OFFSET = "encoder_offset"

@@ -141,6 +141,7 @@ def check_model(
             checks.left_out.append(f"{OF_FORCES}: {DEPEND_ON_IMU}")
             return checks
     checks.findings += verdict.findings
+    checks.findings += _offset_findings(statistics, wrenches)
     checks.figures |= verdict.figures
     checks.left_out += verdict.left_out
     if verdict.blamed:
@@ -153,6 +154,13 @@ def check_model(
         _check_delays(checks, statistics, joints, imus, wrenches)
     _check_excitation(checks, statistics, gains)
     return checks
+
+
+def _offset_findings(statistics: ModelStatistics, wrenches: Mapping[str, str]) -> list[Finding]:
+    """Return the findings of sensors that read something while their foot is in the air."""
+    readings = statistics.unloaded.readings().items()
+    found = (reading.finding(wrenches[frame]) for frame, reading in readings)
+    return [one for one in found if one is not None]
 
 
 def _reason_to_stop(checks: ModelChecks, statistics: ModelStatistics) -> str:

@@ -11,6 +11,7 @@ from symbid_ros.choices import TERMS, Term
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, GainRows
 from symbid_ros.diagnosis.gains import GainProblem
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
+from symbid_ros.diagnosis.unloaded_sensors import UnloadedSensors
 from symbid_ros.diagnosis.wrist_evidence import payload_evidence
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import DEFAULT_PERCENT, Prior, model_prior
@@ -71,6 +72,8 @@ class ModelStatistics:
         Moments of each IMU.
     payloads : tuple of PayloadEvidence
         Of the wrist sensors, and of an arm's other wrench sensors.
+    unloaded : UnloadedSensors
+        What the sensors of a floating robot's feet read in the air.
     """
 
     def __init__(
@@ -92,6 +95,8 @@ class ModelStatistics:
             for index in range(len(imu_frames) if model.floating else 0)
         )
         self.payloads = payload_evidence(model, [*model.wrist_sensors, *wrench_frames])
+        feet = tuple(wrench_frames) if model.floating else ()
+        self.unloaded = UnloadedSensors(feet, self.weight)
         self._build = GainRows(self.parameters, self.gains)
         self._row_sum = np.zeros((model.dof, len(self.prior.names)))
         self._samples = self._blocks = 0
@@ -106,6 +111,7 @@ class ModelStatistics:
             samples = probed(segment, self.model, PAYLOAD_PERIOD)
             for evidence in self.payloads:
                 evidence.add(samples)
+        self.unloaded.add(segment)
         force = segment.wrenches[:, :, 3:]
         self._samples += len(segment)
         self._force_square += np.sum(force**2, axis=(0, 2))

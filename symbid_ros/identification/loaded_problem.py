@@ -405,7 +405,8 @@ def _build_solver(
         problem = replace(problem, prior=prior)
     if options.sensor_error_kinds or factors is not None:
         kinds = options.sensor_error_kinds + ((DRIVE_GAIN,) if factors is not None else ())
-        request = SensorErrorRequest(kinds, tares, checks.mountings, factors)
+        # What the user recorded for the purpose counts more than times in the air.
+        request = SensorErrorRequest(kinds, {**checks.tares, **tares}, checks.mountings, factors)
         problem = calibrate(problem, dataset, request)
     if options.information is not None:
         earlier = with_columns(load_archive(options.information), parameters)

@@ -16,6 +16,7 @@ from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.identification.calibration import Mounting
 from symbid_ros.identification.dataset import Dataset
+from symbid_ros.identification.tares import Tare
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
 
@@ -32,6 +33,7 @@ BIASING = frozenset(
         Kind.DELAY,
         Kind.TORQUE_GAIN,
         Kind.WRENCH_GAIN,
+        Kind.WRENCH_OFFSET,
     }
 )
 # Rotations of an IMU up to this angle, degrees, can be estimated with the robot.
@@ -52,11 +54,14 @@ class LogChecks:
         Rotations of IMUs to estimate from, by frame.
     spans : tuple of FaultSpan
         When topics had no usable messages.
+    tares : mapping of str to Tare
+        What wrench sensors of feet read in the air, by frame.
     """
 
     findings: tuple[Finding, ...] = ()
     mountings: Mapping[str, Mounting] = field(default_factory=dict)
     spans: tuple[FaultSpan, ...] = ()
+    tares: Mapping[str, Tare] = field(default_factory=dict)
 
     @property
     def alarms(self) -> tuple[str, ...]:
@@ -121,7 +126,7 @@ def check_dataset(
         With the prior's inertias, which are trusted within ±25 %.
     estimated : collection of str
         Sensor errors that are estimated with the robot; they are not findings then: mountings
-        of IMUs, and delays.
+        of IMUs, delays, and offsets of wrench sensors.
     watch : ModelWatch, optional
         Of the same robot and log, if it has seen the segments already.
 
@@ -150,6 +155,12 @@ def check_dataset(
             checks.wrench_topics,
         ).findings
     mountings = {}
+    tares = {}
+    if "plate_offset" in estimated and statistics is not None:
+        tares = {
+            frame: Tare(one.mean, one.std) for frame, one in statistics.unloaded.readings().items()
+        }
+        found = [one for one in found if one.kind is not Kind.WRENCH_OFFSET]
     if "sensor_delay" in estimated:
         # The identification knows them better, with all other errors as unknowns.
         found = [one for one in found if one.kind is not Kind.DELAY]
@@ -171,7 +182,7 @@ def check_dataset(
         left_out = finding.kind in (Kind.FROZEN, Kind.SATURATED)
         also = "; those messages are left out" if left_out else ""
         logger.warning("%s: %s%s", source, finding.message, also)
-    return LogChecks(tuple(findings), mountings, checks.spans)
+    return LogChecks(tuple(findings), mountings, checks.spans, tares)
 
 
 def _mounting(finding: Finding) -> Mounting | None:
