@@ -22,6 +22,7 @@ OF_THE_NODE = (
     "bag",
     "imu_topics",
     "lag",
+    "live_model",
     "memory",
     "mode",
     "out",
