@@ -2,7 +2,8 @@
 
 The variance of averaged white noise falls with the ratio r of the window lengths, an error that
 lasts keeps its variance. From the residual variances v of short and v' of long windows, the lasting
-part has the variance (v' - r v)/(1 - r).
+part has the variance (v' - r v)/(1 - r). It counts as zero if v' exceeds r v by less than twice the
+relative deviation √(2/N) that chance gives N long windows.
 """
 
 from collections.abc import Sequence
@@ -15,6 +16,8 @@ from symbid_ros.estimation.observations import Observations
 
 # Share of the measured force below which an unexplained part raises no alarm.
 SMALL = 0.01
+# Standard deviations of a residual's variance that chance explains.
+CHANCE = 2.0
 # A force counts as at least this share of the largest of its unit: a joint that carries almost
 # nothing is not the one to look at.
 LEAST_FORCE = 0.05
@@ -71,11 +74,14 @@ def unexplained_forces(
     """
     ratio = short.window / long.window
     counts = short.counts.diagonal()
+    independent = np.maximum(long.counts.diagonal() / long.inflation, 1)
+    chance = 1 + CHANCE * np.sqrt(2 / independent)
     before, after = (
         one.rows.residual_moment(phi).diagonal() / np.maximum(one.counts.diagonal(), 1)
         for one in (short, long)
     )
-    lasting = np.maximum(after - ratio * before, 0.0) / (1 - ratio)
+    noise = ratio * before
+    lasting = np.where(after > chance * noise, after - noise, 0.0) / (1 - ratio)
     measured = short.rows.target_squares / np.maximum(counts, 1)
     names = short.layout.coordinates
     # Single axes of a base's wrench may be near zero.
