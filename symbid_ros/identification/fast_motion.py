@@ -52,6 +52,8 @@ SPREAD = 0.1
 STEPS, MAXIMISATIONS, RELAXATION = 4, 30, 1.8
 # Windows from which the noise is estimated, at most.
 MOST_WINDOWS = 300
+# Relative difference of rates with the same bands.
+SAME_RATE = 0.01
 # Share of the mean variance that keeps covariances definite, and variances of unused coordinates.
 ROUNDING, UNUSED = 1e-9, 1e6
 
@@ -68,6 +70,8 @@ def with_fast_motion(solver: Solver, dataset: Dataset) -> Solver:
     rows = tuple(_fast_rows(solver, dataset))
     if not rows:
         return solver
+    rate = rows[0].bands.rate  # another log may have another rate, and other bands
+    rows = tuple(one for one in rows if np.isclose(one.bands.rate, rate, rtol=SAME_RATE))
     try:
         return _solved(_FastMotion.of(rows, solver), solver, dataset.source)
     except np.linalg.LinAlgError:  # readings without noise

@@ -79,6 +79,15 @@ def test_readings_without_noise_are_solved_from_slow_motion_alone():
     assert with_fast_motion(solver, dataset) is solver
 
 
+def test_logs_at_another_rate_than_the_first_are_left_out():
+    solver, dataset = log(0)
+    slower = analytic_segment(ROBOT, 8, 1, rate=500.0, start=100.0, shaking=5.0)
+    slower = noisy(slower, np.random.default_rng(1), **NOISE)
+    both = replace(dataset, segments=(*dataset.segments, slower))
+    expected = with_fast_motion(solver, dataset).posterior.mean
+    assert np.allclose(with_fast_motion(solver, both).posterior.mean, expected, rtol=1e-9)
+
+
 def test_bands_that_contradict_the_slow_motion_are_left_out():
     """Efforts that are a millisecond late matter to fast motion alone."""
 
