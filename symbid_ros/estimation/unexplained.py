@@ -2,8 +2,8 @@
 
 The variance of averaged white noise falls with the ratio r of the window lengths, an error that
 lasts keeps its variance. From the residual variances v of short and v' of long windows, the lasting
-part has the variance (v' - r v)/(1 - r). It counts as zero if v' exceeds r v by less than twice the
-relative deviation √(2/N) that chance gives N long windows.
+part has the variance (v' - r v)/(1 - r). It may be chance if v' exceeds r v by less than twice the
+relative deviation √(2/N) of N long windows.
 """
 
 from collections.abc import Sequence
@@ -61,7 +61,9 @@ def force_text(size: float, unit: str) -> str:
 def unexplained_forces(
     short: Observations, long: Observations, phi: FloatArray, units: Sequence[str]
 ) -> tuple[UnexplainedForce, ...]:
-    """Return the unexplained force of each coordinate that has rows, the largest share first.
+    """Return the unexplained force of each coordinate that has rows.
+
+    The largest share comes first, those that may be chance last.
 
     Parameters
     ----------
@@ -80,8 +82,8 @@ def unexplained_forces(
         one.rows.residual_moment(phi).diagonal() / np.maximum(one.counts.diagonal(), 1)
         for one in (short, long)
     )
-    noise = ratio * before
-    lasting = np.where(after > chance * noise, after - noise, 0.0) / (1 - ratio)
+    is_certain = after > chance * ratio * before
+    lasting = np.maximum(after - ratio * before, 0.0) / (1 - ratio)
     measured = short.rows.target_squares / np.maximum(counts, 1)
     names = short.layout.coordinates
     # Single axes of a base's wrench may be near zero.
@@ -100,4 +102,5 @@ def unexplained_forces(
         found.append(
             UnexplainedForce(names[i], units[i], float(size[i]), float(measured[i]), float(share))
         )
-    return tuple(sorted(found, key=lambda one: -one.share))
+    certain = dict(zip(names, is_certain.tolist(), strict=True))
+    return tuple(sorted(found, key=lambda one: (not certain[one.coordinate], -one.share)))

@@ -79,3 +79,12 @@ def test_only_large_and_coloured_residuals_raise_an_alarm():
     assert not is_coloured(below, (large,))
     assert str(large) == "1 Nm of 80 Nm unexplained on knee"
     assert str(replace(large, measured=1234.0)) == "1 Nm of 1200 Nm unexplained on knee"
+
+
+def test_a_small_error_that_lasts_comes_before_larger_ones_that_may_be_chance():
+    lasting, noise = np.zeros(8), np.ones(8)
+    lasting[7], noise[[6, 7]] = 0.2, (30.0, 0.05)
+    names = list(gaussian_log(0, count=COUNT).layout.coordinates)
+    found = [unexplained_forces(*logs(lasting, noise, seed)[:3], UNITS) for seed in range(6)]
+    assert all(one[0].coordinate == names[7] for one in found)
+    assert any(max(each.share for each in one) > one[0].share for one in found)
