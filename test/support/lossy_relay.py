@@ -55,9 +55,11 @@ class LossyRelay:
                 self._pass_on(self._far, datagram)
             if self._far in ready:
                 try:
-                    self._pass_on(self._near, self._far.recv(65507))
-                except ConnectionRefusedError:
-                    continue  # the target does not listen yet
+                    # What made it ready may have been an error that sending has met since.
+                    answer = self._far.recv(65507, socket.MSG_DONTWAIT)
+                except (ConnectionRefusedError, BlockingIOError):
+                    continue  # the target does not listen yet, or any more
+                self._pass_on(self._near, answer)
 
     def _pass_on(self, to: socket.socket, datagram: bytes) -> None:
         lot = self._random.random()
