@@ -90,11 +90,13 @@ def doctor(
     Exit status: 0 clean, 1 warnings, 2 unusable.
     """
     from symbid_ros.identification.api import diagnose
-    from symbid_ros.offline.bags import load_bag, load_robot
+    from symbid_ros.offline.bags import load_robot, open_bags, with_wrench_topics
 
     loaded = None if model is None else load_robot(model, base, bags)
+    if loaded is not None:
+        log = with_wrench_topics(log, loaded, bags, has_contacts=bool(contacts.contacts))
     with progress_shown():
-        found = diagnose(loaded, load_bag(bags, loaded, log), contacts)
+        found = diagnose(loaded, open_bags(bags, loaded, log), contacts)
     print_verdict(found, as_json=as_json)
     if found.severity:
         raise typer.Exit(int(found.severity))

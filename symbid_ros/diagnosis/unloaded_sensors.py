@@ -48,7 +48,7 @@ class UnloadedReading:
     seconds: float
 
     def finding(self, topic: str) -> Finding | None:
-        """Return the finding of an offset; None if there is none that matters."""
+        """Return the finding of an offset; None if it is too small to matter."""
         least = np.repeat([SMALLEST_MOMENT, SMALLEST_FORCE], 3)
         if not np.any(np.abs(self.mean) > np.maximum(least, DEVIATIONS * self.std)):
             return None

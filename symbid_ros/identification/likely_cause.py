@@ -19,6 +19,7 @@ from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
 from symbid_ros.estimation.verdict import coloured_alarm
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.solver import Identification
+from symbid_ros.identification.warming import LEAST_WARMING
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
@@ -44,8 +45,6 @@ RIDGE = 1e-3
 # error makes it "mostly" there.
 QUARTER, MOSTLY = 0.25, 0.5
 
-# Shorter logs do not tell a drive that warms up from other effects, ns.
-LEAST_WARMING = 50_000_000_000
 NO_OPTION = "no option models it, and the standard deviations allow for it"
 WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of warm drives"
 EFFECTS = {

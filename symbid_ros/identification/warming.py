@@ -21,7 +21,7 @@ from symbid_ros.signals.segments import Segment, stamp_spans
 logger = logging.getLogger(__name__)
 
 # Shorter logs do not tell a drive that warms up from other effects, ns.
-SHORTEST = 50_000_000_000
+LEAST_WARMING = 50_000_000_000
 # Shares of the square error of left-out rows of its joint that a change must remove. The drives of
 # a robot warm up together: if one does, any improvement tells that the grease of another does.
 LEAST_GAINS: tuple[tuple[float, tuple[Term, ...]], ...] = (
@@ -50,7 +50,7 @@ def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
     if choice is None or choice.parameters.warming or not leaves_residuals(solver):
         return ()
     courses = courses_of(stamp_spans(dataset.segments))
-    if courses[-1][1] - courses[0][0] < SHORTEST:
+    if courses[-1][1] - courses[0][0] < LEAST_WARMING:
         return ()
     if len(courses) > MOST_PARTS:
         logger.warning(

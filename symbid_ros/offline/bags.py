@@ -61,10 +61,11 @@ def load_bag(
     options = options or LogOptions(**fields)
     if robot is not None:
         options = with_wrench_topics(options, robot, paths)
-    return _open(paths, robot, options)
+    return open_bags(paths, robot, options)
 
 
-def _open(bags: Sequence[Path], robot: RobotModel | None, options: LogOptions) -> Log:
+def open_bags(bags: Sequence[Path], robot: RobotModel | None, options: LogOptions) -> Log:
+    """Return the log in bags with exactly the topics that options name."""
     topics, part = TopicSelection.of(options), TimeRange(options.start, options.end)
     return bag_log(bags, robot, topics, part)
 
@@ -192,7 +193,7 @@ class BagRequest:
         """
         request = self.completed()
         robot = load_model(request.model, request.base)
-        return load_problem(robot, _open(self.bags, robot, request.log), self.options, out)
+        return load_problem(robot, open_bags(self.bags, robot, request.log), self.options, out)
 
     def attributed(
         self, found: Identification, command: str, files: Sequence[Path] = ()

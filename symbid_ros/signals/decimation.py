@@ -178,6 +178,15 @@ def derivatives(
     return tuple(found)
 
 
+def power_spectrum(channel: FloatArray, rate: float) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies (F,), Hz, and the power (F, c) of signals (N, c), flat for white noise."""
+    count = len(channel)
+    window = np.hanning(count + 2)[1:-1, None]
+    spectrum = np.fft.rfft((channel - channel.mean(axis=0)) * window, axis=0)
+    frequency = np.asarray(np.fft.rfftfreq(count, 1 / rate), dtype=np.float64)
+    return frequency, np.abs(spectrum) ** 2 / np.sum(window**2)
+
+
 def _anti_alias(decimator: Decimator) -> FloatArray:
     """Return the windowed sinc that passes the low-pass's cutoff and stops what would alias."""
     if decimator.stride == 1:

@@ -20,7 +20,7 @@ from scipy.optimize import nnls
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.decimation import derivatives
+from symbid_ros.signals.decimation import derivatives, power_spectrum
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sampled_rows import SLIPPING
 from symbid_ros.signals.segments import Segment
@@ -303,11 +303,7 @@ def noise_below_motion(signals: FloatArray, rate: float) -> FloatArray:
 
     The spectrum of motion falls with the second or fourth power of the frequency.
     """
-    count = len(signals)
-    window = np.hanning(count + 2)[1:-1, None]
-    spectrum = np.fft.rfft((signals - signals.mean(axis=0)) * window, axis=0)
-    power = np.abs(spectrum) ** 2 / np.sum(window**2)
-    frequency = np.fft.rfftfreq(count, 1 / rate)
+    frequency, power = power_spectrum(signals, rate)
     edges = np.searchsorted(frequency, np.linspace(HIGHEST * rate, rate / 2, PARTS + 1))
     parts = [slice(*ends) for ends in pairwise(edges.tolist())]
     means = np.array([power[part].mean(axis=0) for part in parts])

@@ -33,7 +33,7 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.decimation import Decimator, decimation_stride
+from symbid_ros.signals.decimation import Decimator, decimation_stride, power_spectrum
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sampled_rows import (
     SLIPPING,
@@ -375,11 +375,7 @@ def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
 
     The spectrum of white noise is flat, so its level in one quiet band holds for all bands.
     """
-    count = len(channel)
-    window = np.hanning(count + 2)[1:-1, None]
-    spectrum = np.fft.rfft((channel - channel.mean(axis=0)) * window, axis=0)
-    power = np.abs(spectrum) ** 2 / np.sum(window**2)
-    frequency = np.fft.rfftfreq(count, 1 / rate)
+    frequency, power = power_spectrum(channel, rate)
     edges = np.searchsorted(frequency, np.linspace(LOWEST * rate, rate / 2, BANDS + 1))
     bands = np.array([power[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a])
     if len(bands) < BANDS:

@@ -70,7 +70,7 @@ def test_a_controller_takes_models_from_the_file(tmp_path, known, monkeypatch) -
         source.update()
         return list(lines)
 
-    assert said() == []  # there is no file yet
+    assert said() == []  # the file does not exist yet
     path.write_text("{}")
     (line,) = said()
     assert "has no 'schema_version'" in line
