@@ -32,12 +32,12 @@ def bag_log(
     topics: TopicSelection = DEFAULT_SELECTION,
     part: TimeRange = WHOLE_LOG,
 ) -> Log:
-    """Return the log in bags that continue one another; messages are read when needed.
+    """Return the log in bags; messages are read when needed.
 
     Parameters
     ----------
     bags : sequence of Path
-        Bag folders or files; give separate runs separately.
+        Bag folders or files of one robot, in any order.
     model : RobotModel, optional
         Robot whose joints the log must contain; messages that name none of them are ignored.
     topics : TopicSelection

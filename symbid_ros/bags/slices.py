@@ -10,6 +10,7 @@ import numpy as np
 from symbid_ros.arrays import IntArray
 from symbid_ros.bags.container.blocks import MessageBlock
 from symbid_ros.bags.container.files import count_messages, join_names, read_blocks
+from symbid_ros.bags.recordings import separate_recordings
 from symbid_ros.errors import DataError
 from symbid_ros.messages.contact_flags import FlagHistory
 from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
@@ -27,10 +28,14 @@ from symbid_ros.signals.defects import (
     check_clock,
     seconds,
 )
+from symbid_ros.signals.segments import MINUTE, SECOND, WALL_CLOCK
 from symbid_ros.signals.streams import WHOLE_LOG, Slice, TimeRange
 
 # Bytes to buffer for a topic that lags, because it is silent or recorded with a delay.
 MAX_BUFFERED = 256 << 20
+
+# Between recordings with the same stamps, of which the later one moves, ns.
+SHORTEST_PAUSE = 10 * SECOND
 
 DEFAULT_SELECTION = TopicSelection()
 
@@ -43,16 +48,20 @@ def iterate_slices(
     part: TimeRange = WHOLE_LOG,
     warn: bool = True,
 ) -> Iterator[Slice]:
-    """Yield the sensor topics of one recording.
+    """Yield the sensor topics of one or more recordings of a robot, one after the other.
+
+    Recordings with a clock that starts at zero may have the same stamps. The later ones then move
+    by whole minutes.
 
     Parameters
     ----------
     bags : sequence of Path
-        Bag folders or files that continue one another; read separate runs separately.
+        Bag folders or files in any order; a recording may be split into several.
     topics : TopicSelection
         Topics to read.
     span : int, optional
-        Length of the slices, ns; they end at its multiples. Default: a single slice.
+        Length of the slices, ns; they end at its multiples. Default: a single slice of bags that
+        continue one another.
     part : TimeRange
         Part of the recording.
     warn : bool
@@ -67,15 +76,19 @@ def iterate_slices(
     counts = count_messages(bags)
     slicer = _Slicer(source, TopicSelector(source, topics, counts).select(), span, part)
     total, done = sum(counts.values()), 0
-    for block in read_blocks(bags):
-        report(f"reading {source}", done / total)
-        done += sum(map(len, block.spans.values()))
-        slicer.add(block)
-        yield from slicer.complete_slices()
+    for recording in separate_recordings(bags) if span else [tuple(bags)]:
+        slicer.begin(join_names(recording))
+        for block in read_blocks(recording):
+            report(f"reading {source}", done / total)
+            done += sum(map(len, block.spans.values()))
+            slicer.add(block)
+            yield from slicer.complete_slices()
+            if slicer.is_done:
+                break
+        else:
+            yield from slicer.remaining_slices()
         if slicer.is_done:
             break
-    else:
-        yield from slicer.remaining_slices()
     if warn:
         slicer.report()
 
@@ -97,6 +110,23 @@ class _Slicer:
         self._processed_until, self._end = ALWAYS
         self._requested_from = self._processed_until
         self._has_begun = False
+        self._recording = -1
+        self._name = ""
+        self._shift: int | None = 0
+
+    def begin(self, name: str) -> None:
+        """Begin with a further recording; ``name`` is that of its bags, for messages."""
+        self._recording += 1
+        self._name = name
+        if self._recording == 0:
+            return
+        self._last_joint_state, self._shift = None, None
+        newest = [one.newest for one in self._buffers.values() if one.newest is not None]
+        if newest:
+            # The last slice ended later, at a multiple of its length.
+            self._processed_until = max(max(newest) + 1, self._requested_from)
+        for buffer in self._buffers.values():
+            buffer.begin()
 
     @property
     def is_done(self) -> bool:
@@ -105,10 +135,13 @@ class _Slicer:
 
     def add(self, block: MessageBlock) -> None:
         """Add the messages of a block."""
+        if self._shift is None:
+            self._shift = self._shift_of(block)
         for topic, buffer in self._buffers.items():
             if topic in block.spans:
                 spans = block.spans[topic]
-                buffer.add(block.data, spans, self._processed_until, self._requested_from)
+                limits = self._processed_until, self._requested_from
+                buffer.add(block.data, spans, *limits, self._shift or 0)
         if self._flags:
             self._add_flags(block)
         if not self._has_begun and (first := self._joints.first_from(ALWAYS[0])) is not None:
@@ -118,11 +151,34 @@ class _Slicer:
             if np.isfinite(self._part.stop):
                 self._end = first + round(1e9 * self._part.stop)
 
+    def _shift_of(self, block: MessageBlock) -> int | None:
+        """Return how far the stamps of a recording move, ns, given its first block.
+
+        None if the block has no message of a sensor.
+        """
+        heads = [
+            read_leading_stamp(block.data[start : start + size].tobytes())
+            for topic in self._buffers
+            for start, size in block.spans.get(topic, ())[:1]
+        ]
+        if not heads:
+            return None
+        back = self._processed_until - min(heads)
+        if back <= 0 or self._processed_until == ALWAYS[0]:
+            return 0
+        if min(heads) >= WALL_CLOCK:
+            raise DataError(
+                f"{self._name}: stamps begin {back * 1e-9:.3f} s before those of another bag end; "
+                "leave copies out, or identify one, and give its `information` with the other",
+                "E530",
+            )
+        return MINUTE * -(-(back + SHORTEST_PAUSE) // MINUTE)
+
     def _add_flags(self, block: MessageBlock) -> None:
         """Add the flags of a block, each with the stamp of the last joint state before it."""
         spans = block.spans.get(self._chosen.clock, np.zeros((0, 2), dtype=np.int64))
         stamps = [
-            read_leading_stamp(block.data[start : start + size].tobytes())
+            read_leading_stamp(block.data[start : start + size].tobytes()) + (self._shift or 0)
             for start, size in spans.tolist()
         ]
         for history in self._flags:
@@ -193,7 +249,8 @@ class _Slicer:
                 if error.code != "E327":
                     raise
                 fault = str(error)
-        return Slice(start, stop, streams, recorded, tuple(tallies.values()), fault)
+        tallied = tuple(tallies.values())
+        return Slice(start, stop, streams, recorded, tallied, fault, self._recording)
 
     def _stamps(self, topic: Topic, decoder: TopicDecoder) -> IntArray:
         """Return header stamps in order of recording; each once if joints come in groups."""
@@ -228,17 +285,23 @@ class ReorderBuffer:
     _last: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     _parts: list["_Part"] = field(default_factory=list)
 
+    def begin(self) -> None:
+        """Begin with a further recording, in which the clock may have been set."""
+        self._last, self._parts, self.size, self.newest = self._last[:0], [], 0, None
+
     def add(
         self,
         data: ByteArray,
         spans: IntArray,
         processed_until: int = ALWAYS[0],
         requested_from: int = ALWAYS[0],
+        shift: int = 0,
     ) -> None:
         """Decode and add the payloads (N, 2: start, length) in a block of bytes.
 
         Messages with stamps before ``processed_until``, ns, are dropped. They count as late if they
-        belong to the requested part, which starts at ``requested_from``.
+        belong to the requested part, which starts at ``requested_from``. ``shift``, whole seconds
+        in ns, is added to all stamps.
 
         Raises
         ------
@@ -251,9 +314,11 @@ class ReorderBuffer:
         self.decoder.add(data, spans)
         recorded = np.empty(len(spans), dtype=np.int64)
         for batch in self.decoder.batches:
-            stamps = read_stamp(batch.records)
+            stamps = read_stamp(batch.records) + shift
             recorded[batch.index - first] = stamps
-            numbers = DecodedBatch(batch.layout, batch.index, batch.layout.packed(batch.records))
+            records = batch.layout.packed(batch.records)
+            records["header.stamp.sec"] += shift // SECOND
+            numbers = DecodedBatch(batch.layout, batch.index, records)
             self._keep(_Part(numbers, stamps).between(processed_until, ALWAYS[1]))
         self.decoder.batches = []
         topic = self.decoder.topic.name

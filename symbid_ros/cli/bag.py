@@ -70,7 +70,7 @@ def doctor(
     *,
     bags: Annotated[
         list[Path],
-        typer.Argument(help="Bags that continue one another.", show_default=False),
+        typer.Argument(help="Bags of one robot.", show_default=False),
     ],
     log: LogOptions,
     model: Annotated[

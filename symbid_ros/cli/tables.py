@@ -248,6 +248,8 @@ def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
     if verdict.sensors:
         known = sum(error.determined for error in verdict.sensors)
         lines.append(f"{known} of {len(verdict.sensors)} sensor errors determined")
+    if gains := verdict.describe_drive_gains():
+        lines.append(Text(gains))
     if drift := verdict.describe_drift():
         lines.append(Text(drift))
     if verdict.unexplained:

@@ -58,7 +58,7 @@ class StreamChecks:
         """Check the next slice of the log."""
         self._defects = piece.tallies
         for topic, stamps in piece.stamps.items():
-            self.timings.setdefault(topic, TimingCheck(topic)).add(stamps)
+            self.timings.setdefault(topic, TimingCheck(topic)).add(stamps, piece.recording)
         if piece.streams is None:
             self._faults.append(piece.fault)
             self._silent.append(FaultSpan(Kind.SILENT, "", piece.start, piece.stop))

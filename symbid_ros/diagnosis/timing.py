@@ -45,18 +45,23 @@ class TimingCheck:
     missing: int = 0
     longest: int = 0
     spans: list[FaultSpan] = field(default_factory=list)
+    _recording: int = 0
+    _paused: int = 0  # between recordings, ns
     _periods: list[int] = field(default_factory=list)
     _deviations: float = 0.0
     _steps: int = 0
 
-    def add(self, stamps: IntArray) -> None:
+    def add(self, stamps: IntArray, recording: int = 0) -> None:
         """Add the stamps (N,), ns, of the next slice, in any order."""
         self.messages += len(stamps)
         if not len(stamps):
             return
         ordered = distinct(stamps)
-        if self.last is not None:
+        if self.last is not None and recording != self._recording:
+            self._paused += int(ordered[0]) - self.last
+        elif self.last is not None:
             ordered = np.append(self.last, ordered[ordered > self.last])
+        self._recording = recording
         self.first = int(ordered[0]) if self.first is None else self.first
         self.last = int(ordered[-1])
         found = find_gaps(ordered)
@@ -94,7 +99,7 @@ class TimingCheck:
         return StreamFigures(
             topic=self.topic,
             messages=self.messages,
-            duration_s=(last - first) * 1e-9,
+            duration_s=(last - first - self._paused) * 1e-9,
             rate_hz=1 / self.period if self.period else 0.0,
             jitter=float(np.sqrt(self._deviations / max(self._steps, 1))),
             gaps=self.gaps,
@@ -107,13 +112,14 @@ class TimingCheck:
         figures, found = self.figures, []
         if self.missing:
             share = self.missing / (self.missing + self.messages)
+            gaps = "1 gap, which" if self.gaps == 1 else f"{self.gaps} gaps, the longest"
             found.append(
                 Finding(
                     Kind.GAP,
                     self.topic,
                     Severity.UNUSABLE if share > MOST_MISSING else Severity.WARNING,
                     f"{self.topic}: {self.missing} messages ({100 * share:.2g} %) are missing in "
-                    f"{self.gaps} gaps, the longest lasts {figures.longest_gap_s:.3g} s; record "
+                    f"{gaps} lasts {figures.longest_gap_s:.3g} s; record "
                     "closer to the sensor, with a deeper queue",
                     {
                         "gaps": self.gaps,

@@ -135,6 +135,16 @@ class Verdict:
             f"{change.unit} until the end"
         )
 
+    def describe_drive_gains(self) -> str:
+        """Return the factors from readings to efforts of drives; empty if none is identified."""
+        gains = [
+            f"{joint} {one.value:.4g} ± {one.std:.2g}"
+            for one in self.sensors
+            for joint, _, kind in [one.name.rpartition("/")]
+            if kind == "drive_gain"
+        ]
+        return f"drive gains: {', '.join(gains)}" if gains else ""
+
     def describe_mass_scale(self) -> str:
         """Return what the data cannot check about the masses; empty with a weighing."""
         if self.mass_scale == 0:

@@ -137,7 +137,7 @@ class AlignedLog:
                     coverage.lose(error)
                     continue
                 for segment in cut_to(segments, piece.start, piece.stop):
-                    coverage.take(segment)
+                    coverage.take(segment, piece.recording)
                     yield segment
         coverage.check(warn=warn)
 
@@ -199,9 +199,14 @@ class _Coverage:
     first: Segment | None = None
     last: int = 0
     instants: int = 0
+    recording: int = 0
+    paused: int = 0  # ns
     faults: list[DataError] = field(default_factory=list)
 
-    def take(self, segment: Segment) -> None:
+    def take(self, segment: Segment, recording: int) -> None:
+        if recording != self.recording and self.first is not None:
+            self.paused += int(segment.stamp[0]) - self.last - round(1e9 / segment.rate)
+        self.recording = recording
         if self.first is None:
             self.first = segment
         elif segment.frames != self.first.frames:
@@ -231,7 +236,7 @@ class _Coverage:
             return
         for fault in self.faults[:1]:
             logger.warning("%s; %d slices of the log are left out", fault, len(self.faults))
-        length = (self.last - int(self.first.stamp[0])) * 1e-9
+        length = (self.last - int(self.first.stamp[0]) - self.paused) * 1e-9
         expected = round(length * self.first.rate) + 1
         if self.instants < expected:
             logger.warning(

@@ -44,7 +44,7 @@ def load_bag(
     Parameters
     ----------
     bags : str, Path or sequence of these
-        A bag (folder or file), or several that continue one another.
+        A bag (folder or file), or several of one robot, in any order.
     robot : RobotModel, optional
         Its joints must be in the log.
     options : LogOptions, optional
@@ -151,7 +151,7 @@ class BagRequest:
     Attributes
     ----------
     bags : tuple of Path
-        Bags that continue one another.
+        Bags of one robot, in any order.
     model : Path
         URDF or MJCF; with a prior file, only its kinematics are used.
     options : IdentifyOptions
@@ -168,7 +168,7 @@ class BagRequest:
     base: Base = "auto"
 
     def completed(self) -> "BagRequest":
-        """Return the request with what follows from the bags: base and topics of wrenches.
+        """Return the request with what follows from the bags: base, topics of wrenches, payloads.
 
         A result records them, so that other logs can be compared with it.
 
@@ -177,11 +177,28 @@ class BagRequest:
         ModelError, BagError
             When the model or a bag cannot be read.
         """
-        robot = load_robot(self.model, self.base, self.bags)
-        contacts = bool(self.options.contacts)
-        log = with_wrench_topics(self.log, robot, self.bags, has_contacts=contacts)
+        bags, options = self._without_loaded_bags()
+        robot = load_robot(self.model, self.base, bags)
+        log = with_wrench_topics(self.log, robot, bags, has_contacts=bool(options.contacts))
         is_open = self.base == "auto" and not is_mjcf(self.model)
-        return replace(self, log=log, base="fixed" if is_open and not robot.floating else self.base)
+        base = "fixed" if is_open and not robot.floating else self.base
+        return replace(self, bags=bags, options=options, log=log, base=base)
+
+    def _without_loaded_bags(self) -> tuple[tuple[Path, ...], IdentifyOptions]:
+        """Return the bags without those that `payload` names; one is the log if no other is left.
+
+        Users name such bags among the others, too.
+        """
+        loaded = {one.resolve() for one, _ in self.options.loaded_logs if isinstance(one, Path)}
+        left = tuple(bag for bag in self.bags if bag.resolve() not in loaded)
+        if left or not loaded:
+            return left, self.options
+        log = self.bags[0]
+        payload = tuple(
+            text if isinstance(bag, Path) and bag.resolve() == log.resolve() else f"{bag}:{text}"
+            for bag, text in self.options.loaded_logs
+        )
+        return (log,), replace(self.options, payload=(*self.options.payloads, *payload))
 
     def load(self, out: Path | None = None) -> LoadedProblem:
         """Read all inputs, after a check of the folder ``out`` for the results.
@@ -193,7 +210,8 @@ class BagRequest:
         """
         request = self.completed()
         robot = load_model(request.model, request.base)
-        return load_problem(robot, open_bags(self.bags, robot, request.log), self.options, out)
+        log = open_bags(request.bags, robot, request.log)
+        return load_problem(robot, log, request.options, out)
 
     def attributed(
         self, found: Identification, command: str, files: Sequence[Path] = ()

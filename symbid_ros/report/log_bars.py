@@ -5,11 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from symbid_ros.arrays import FloatArray
 from symbid_ros.identification.report_data import QUANTILES, Coverage, ForceSeries
 from symbid_ros.report.content import JointLimits
 from symbid_ros.report.formatting import significant
 
 TICKS = 4
+# A longer time without data or faults, s, is a pause between recordings; its width, %.
+LONGEST_IDLE, PAUSE_WIDTH = 5.0, 2.0
+MOST_LABELLED = 4  # parts between pauses
 # A bar this short, % of the width, would be invisible.
 LEAST_WIDTH = 0.3
 FAULT_TITLES = {"gap": "gap", "frozen": "frozen", "silent": "no messages"}
@@ -44,13 +48,11 @@ class Timeline:
 
 def timeline(coverage: Coverage, forces: ForceSeries | None) -> Timeline:
     """Return the used times, the held-out part, and the faults of each topic."""
-    ends = [coverage.duration, *(float(one["stop"]) for one in coverage.faults)]
-    length = max([*ends, 1e-9])
+    axis = _TimeAxis.of(coverage)
 
     def bar(start: float, stop: float, kind: str, what: str) -> TimeBar:
-        start, stop = max(start, 0.0), min(stop, length)
-        left, width = 100 * start / length, 100 * (stop - start) / length
-        width = max(width, LEAST_WIDTH)
+        left, right = axis.place(start), axis.place(stop)
+        width = max(right - left, LEAST_WIDTH)
         return TimeBar(
             round(min(left, 100 - width), 2),
             round(width, 2),
@@ -75,10 +77,49 @@ def timeline(coverage: Coverage, forces: ForceSeries | None) -> Timeline:
             if one["stream"] == topic
         )
         rows.append(TimeRow(topic or "all topics", bars))
-    ticks = tuple(
-        (100 * index / TICKS, f"{length * index / TICKS:.3g} s") for index in range(TICKS + 1)
-    )
-    return Timeline(tuple(rows), ticks)
+    return Timeline(tuple(rows), axis.ticks())
+
+
+@dataclass(frozen=True)
+class _TimeAxis:
+    """Places of times in percent; pauses between recordings are short, however long they lasted.
+
+    Attributes
+    ----------
+    times, places : (2 P,) float64
+        Start and end of each part without a pause, s, and their places.
+    """
+
+    times: FloatArray
+    places: FloatArray
+
+    @classmethod
+    def of(cls, coverage: Coverage) -> "_TimeAxis":
+        spans = coverage.used.tolist()
+        spans += [[float(one["start"]), float(one["stop"])] for one in coverage.faults]
+        length = max([coverage.duration, *(stop for _, stop in spans), 1e-9])
+        parts = [[0.0, 0.0 if spans else length]]
+        for start, stop in sorted([*spans, [length, length]]):
+            if start - parts[-1][1] > LONGEST_IDLE:
+                parts.append([start, stop])
+            parts[-1][1] = max(parts[-1][1], stop)
+        lengths = np.array([stop - start for start, stop in parts])
+        widths = lengths * (100 - PAUSE_WIDTH * (len(parts) - 1)) / max(lengths.sum(), 1e-9)
+        left = np.cumsum(widths) - widths + PAUSE_WIDTH * np.arange(len(parts))
+        return cls(np.array(parts).ravel(), np.stack([left, left + widths], axis=1).ravel())
+
+    def place(self, time: float) -> float:
+        return float(np.interp(time, self.times, self.places))
+
+    def ticks(self) -> tuple[tuple[float, str], ...]:
+        """Return places and labels at equal distances, or of each part if there are pauses."""
+        times = self.times
+        if len(times) > 2:
+            few = len(times) <= 2 * MOST_LABELLED
+            times = np.append(times[::2], times[-1]) if few else times[[0, -1]]
+        else:
+            times = np.linspace(0, times[-1], TICKS + 1)
+        return tuple((self.place(time), f"{time:.4g} s") for time in times.tolist())
 
 
 @dataclass(frozen=True)

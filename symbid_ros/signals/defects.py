@@ -132,7 +132,7 @@ def check_clock(source: str, topic: str, stamp: IntArray) -> None:
             topic,
             Defect.CLOCK_JUMP,
             f"{source}: {topic}: header stamps jump back by {seconds(-step[at])} after "
-            f"{seconds(stamp[at])}; give each run separately",
+            f"{seconds(stamp[at])}; record each run in a bag of its own",
             "E314",
         )
 

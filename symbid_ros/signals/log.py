@@ -32,7 +32,7 @@ SliceReader = Callable[[int | None, bool], Iterator[Slice]]
 
 @dataclass(frozen=True)
 class Log:
-    """Sensor measurements of one robot: a bag, several consecutive bags, or arrays.
+    """Sensor measurements of one robot: one or several bags, or arrays.
 
     Get one from :func:`symbid_ros.load_bag` or :meth:`from_arrays`. A bag is read when its data are
     needed.

@@ -12,6 +12,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
 from symbid_ros.errors import DataError
 
 SECOND = 1_000_000_000  # ns
+MINUTE = 60 * SECOND
 # Stamps after September 2001 come from a wall clock, which shows each second once. Simulated time,
 # and the clock of a computer that has not been set, start at 0 in every run.
 WALL_CLOCK = SECOND * SECOND
@@ -97,7 +98,8 @@ def fingerprint(segment: Segment) -> frozenset[int]:
     """Return an identifier of each whole second of a segment, so that none is counted twice.
 
     The identifier does not change when a log is cut, split or copied. It is the second itself for
-    stamps of a wall clock, otherwise a hash of the joint states at the start of the second.
+    stamps of a wall clock, otherwise a hash of the joint states at the start of the second. That is
+    the same after a move by whole minutes.
     """
     if len(segment) == 0:
         return frozenset()
@@ -111,7 +113,8 @@ def fingerprint(segment: Segment) -> frozenset[int]:
 
 
 def _hash(segment: Segment, index: int) -> int:
-    parts = segment.stamp[index], segment.position[index], segment.effort[index]
+    stamp = segment.stamp[index] % MINUTE
+    parts = stamp, segment.position[index], segment.effort[index]
     content = b"".join(np.asarray(part).tobytes() for part in parts)
     return int.from_bytes(blake2b(content, digest_size=8).digest(), signed=True)
 

@@ -257,6 +257,8 @@ class Slice:
         Defects of each topic so far; counting continues with the next slice.
     fault : str
         Which topic was silent; empty if none was.
+    recording : int
+        Number of the recording; between two, nothing is missing.
     """
 
     start: int
@@ -265,6 +267,7 @@ class Slice:
     stamps: Mapping[str, IntArray]
     tallies: tuple[DefectCounts, ...]
     fault: str = ""
+    recording: int = 0
 
 
 WHOLE_LOG = TimeRange()

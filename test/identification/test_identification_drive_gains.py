@@ -72,6 +72,9 @@ def test_a_known_payload_fixes_the_scale(robot, model, currents):
     fields = {"drive_gain": "all", "no_holdout": True, "unchecked": True}
     result = sy.identify(model, currents, payload=[(loaded, payload)], **fields)
     np.testing.assert_allclose(factors(result), FACTORS, rtol=3e-3)
+    gains = result.estimate.verdict.describe_drive_gains()
+    for joint, factor in zip(model.joint_names, factors(result), strict=True):
+        assert f"{joint} {factor:.4g} ± " in gains
     assert not any("common scale" in one for one in result.estimate.remarks)
 
 

@@ -38,6 +38,14 @@ def test_the_timeline_shows_used_times_the_held_out_part_and_faults(log):
     assert fault.text == "gap from 12.00 to 13.00 s"
 
 
+def test_a_pause_between_recordings_is_short(log):
+    used = np.array([[0.0, 28.0], [3600.0, 3628.0]])
+    coverage = replace(log.coverage, used=used, faults=())
+    shown = timeline(coverage, None)
+    assert [(bar.left, bar.width) for bar in shown.rows[0].bars] == [(0, 49), (51, 49)]
+    assert shown.ticks == ((0, "0 s"), (51, "3600 s"), (100, "3628 s"))
+
+
 def test_a_short_fault_stays_visible_and_inside(log):
     fault = {"kind": "frozen", "stream": "/imu", "start": 39.999, "stop": 40.0}
     coverage = replace(log.coverage, faults=(fault,))

@@ -69,13 +69,18 @@ def wrench(stamp: int, force: Sequence[float]) -> bytes:
     return bytes(STORE.serialize_cdr(message, WRENCH))
 
 
-def write_rosbags(path: Path, messages: Messages, topics: Sequence[tuple[str, str]] = ()) -> Path:
-    """Write a bag with rosbags."""
+def write_rosbags(
+    path: Path,
+    messages: Messages,
+    topics: Sequence[tuple[str, str]] = (),
+    times: Sequence[int] = (),
+) -> Path:
+    """Write a bag with rosbags; ``times`` are those of writing, ns."""
     with RosbagsWriter(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         announced = dict.fromkeys([*topics, *((name, kind) for name, kind, _ in messages)])
         connections = {pair: writer.add_connection(*pair, typestore=STORE) for pair in announced}
         for index, (name, kind, payload) in enumerate(messages):
-            writer.write(connections[name, kind], index, payload)
+            writer.write(connections[name, kind], times[index] if times else index, payload)
     return path
 
 
