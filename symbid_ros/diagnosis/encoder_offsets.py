@@ -11,7 +11,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
-from symbid_ros.diagnosis.gains import (
+from symbid_ros.diagnosis.gain_problem import (
     FLOOR,
     PINNED,
     UNMODELLED,
@@ -19,8 +19,8 @@ from symbid_ros.diagnosis.gains import (
     GainProblem,
     estimate_of,
     loads,
-    select_nonzero,
 )
+from symbid_ros.diagnosis.gains import select_nonzero
 
 # Prior standard deviations of an offset, rad, of a gain, and of a delay, s.
 OFFSET_STD, GAIN_STD, DELAY_STD = 0.3, 0.05, 0.01

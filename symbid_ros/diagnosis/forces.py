@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
-from symbid_ros.diagnosis.gains import GainEstimate
+from symbid_ros.diagnosis.gain_problem import GainEstimate
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
 from symbid_ros.options import robot_file_line

@@ -31,10 +31,11 @@ from symbid_ros.dynamics.regressor import (
     equation_of_motion,
     has_linear_rows,
 )
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.sampled_rows import SampledRows, valid_rows
+from symbid_ros.signals.sampled_rows import SampledRows, valid_coordinates, valid_rows
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import (
     Average,
@@ -298,9 +299,10 @@ class GainRows(AveragingRows):
         """Yield the rows of sensor samples."""
         for start in range(0, len(readings), CHUNK):
             part = readings[start : start + CHUNK]
-            rows = equation_of_motion(self.parameters, at_base(part, self.parameters.model))
+            samples = at_base(part, self.parameters.model)
+            rows = equation_of_motion(self.parameters, samples)
             K = np.concatenate([rows.K, -self.gains.columns(self.parameters, part)], axis=2)
-            yield valid_rows(part.stamp, Rows(K, rows.y), np.ones(rows.y.shape, dtype=bool))
+            yield valid_rows(part.stamp, Rows(K, rows.y), self._valid(samples))
 
     def averages(self, readings: SensorSamples, weights: Sequence[csr_array]) -> list[Average]:
         """Return averages over windows, of K without rows of single samples if possible."""
@@ -312,10 +314,19 @@ class GainRows(AveragingRows):
         )
         K, y = averaged_equation_of_motion(parameters, samples, csr_array(vstack(weights)))
         rows = Rows(-self.gains.columns(parameters, readings), y)
-        of_gains = average(
-            iter([valid_rows(readings.stamp, rows, np.ones(y.shape, dtype=bool))]), weights
-        )
+        of_gains = average(iter([valid_rows(readings.stamp, rows, self._valid(samples))]), weights)
         return extended(of_gains, K)
+
+    def _valid(self, samples: Samples) -> BoolArray:
+        """Return which coordinates (N, n) are checked.
+
+        The drive of an arm's joint at rest may read anything up to its dry friction. On robots that
+        stand, where joints hardly move, the other sensors tell what a joint carries.
+        """
+        parameters = self.parameters
+        if parameters.model.floating:
+            return np.ones((len(samples), parameters.model.dof), dtype=bool)
+        return valid_coordinates(parameters, samples.velocity)
 
 
 @dataclass

@@ -19,15 +19,14 @@ from symbid_ros.diagnosis.forces import (
     reversed_imu_finding,
     rotated_imu_finding,
 )
+from symbid_ros.diagnosis.gain_problem import GainEstimate, GainProblem, loads
 from symbid_ros.diagnosis.gains import (
-    GainEstimate,
-    GainProblem,
     estimate_delays,
     estimate_gains,
     find_late_streams,
     fit_imu_rotation,
-    loads,
 )
+from symbid_ros.diagnosis.joint_efforts import effort_delay_error
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stance_gyro_check import (
     DEVIATIONS,
@@ -302,12 +301,15 @@ def _check_delays(
         # Above a standing foot the angular velocity gives a better delay.
         if f"{imus[index]}/delay_ms" not in checks.figures:
             streams[imus[index]] = ("", gains.imu(index).stop)
+    error = effort_delay_error(statistics.problem) if gains.driven else 0.0
     for topic, (what, place) in streams.items():
         delay, std = delays.delay(place)
         name = f"{topic}/effort_delay" if what else f"{topic}/delay"
         checks.figures |= {f"{name}_ms": 1e3 * delay, f"{name}_std_ms": 1e3 * std}
         if place in late:
-            checks.findings += delay_finding(topic, *late[place], "motion and forces", what)
+            delay, std = late[place]
+            std = float(np.hypot(std, error)) if what else std
+            checks.findings += delay_finding(topic, delay, std, "motion and forces", what)
     for index, frame in enumerate(statistics.gains.wrench_frames):
         if not statistics.is_loaded[index]:
             checks.left_out.append(

@@ -8,8 +8,8 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import TERMS, Term
+from symbid_ros.diagnosis.gain_problem import GainProblem
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, GainRows
-from symbid_ros.diagnosis.gains import GainProblem
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
 from symbid_ros.diagnosis.unloaded_sensors import UnloadedSensors
 from symbid_ros.diagnosis.wrist_evidence import payload_evidence

@@ -27,6 +27,8 @@ SLOW = 0.25
 ONSET = 10
 # and goes on with a step below this multiple of the typical one.
 JUMP = 5.0
+# An encoder of a resting joint may flicker by this many of its smallest steps.
+FLICKER = 2.0
 
 
 @dataclass(frozen=True)
@@ -71,11 +73,15 @@ class ChannelChanges:
         if not self.is_position:
             moved = float(np.ptp(self.position[first:stop]))
             return moved <= RESTING * typical * (stop - first)
-        before = steps[max(first - ONSET - 1, 0) : max(first - 1, 0)]
+        flicker = FLICKER * float(np.min(known[known > 0], initial=np.inf))
+        begin = max(first - ONSET - 1, 0)
+        before = steps[begin : max(first - 1, 0)]
         before = before[np.isfinite(before)]
         onset = float(np.mean(before)) if len(before) else 0.0
+        moved = float(np.ptp(self.position[begin:first])) if first > begin else 0.0
         jump = float(steps[stop - 1]) if stop <= len(steps) else 0.0
-        return onset <= SLOW * typical and jump <= JUMP * typical
+        slows_down = onset <= SLOW * typical or moved <= flicker
+        return slows_down and jump <= max(JUMP * typical, flicker)
 
     def stops(self, *, continues: bool) -> bool:
         """Return whether a position that is constant up to the last message stopped abruptly.

@@ -53,7 +53,7 @@ def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
     if courses[-1][1] - courses[0][0] < LEAST_WARMING:
         return ()
     if len(courses) > MOST_PARTS:
-        logger.warning(
+        logger.info(
             "%s: pauses of a minute and more divide it into %d parts, and friction that changes is "
             "searched for in at most %d; identify fewer bags in one run",
             dataset.source,

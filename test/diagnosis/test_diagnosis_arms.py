@@ -115,6 +115,43 @@ def test_resting_joints_are_not_frozen(ur5, brakes) -> None:
     assert Kind.FROZEN not in {one.kind for one in found}
 
 
+def test_an_encoder_that_flickers_at_rest_is_not_frozen(ur5) -> None:
+    streams = arm_streams(ur5, SECONDS, 1, friction=0.05, resting=ur5.joint_names[3:5])
+    position = streams.joints.position.copy()
+    position[:, 3] = np.where(np.arange(len(position)) % 100 == 50, 1.0001, 1.0)
+    joints = replace(streams.joints, position=position)
+    found = diagnose(Log.from_streams(replace(streams, joints=joints))).findings
+    assert Kind.FROZEN not in {one.kind for one in found}
+
+
+@pytest.mark.parametrize("moving", [range(1, 2), range(6)])
+def test_efforts_are_late_if_those_of_several_joints_are(ur5, moving) -> None:
+    """Friction of one drive that lags behind its motion looks like a late effort of that joint."""
+    resting = [name for index, name in enumerate(ur5.joint_names) if index not in moving]
+    streams = arm_streams(ur5, SECONDS, 1, friction=0.05, resting=resting)
+    effort = streams.joints.effort.copy()
+    samples = 3
+    effort[samples:] = effort[:-samples]
+    diagnosis = judged(ur5, replace(streams, joints=replace(streams.joints, effort=effort)))
+    found = [one for one in diagnosis.findings if one.kind is Kind.DELAY]
+    assert len(found) == (len(moving) > 1)
+    for finding in found:
+        period = np.diff(streams.joints.stamp)[0] * 1e-6
+        assert finding.figures["delay_ms"] == pytest.approx(samples * period, rel=0.1)
+
+
+@pytest.mark.parametrize("moving", [0, 2])
+def test_drives_at_rest_have_no_gain(ur5, moving) -> None:
+    """Dry friction carries a part of their load, and what remains of it depends on chance."""
+    resting = [name for index, name in enumerate(ur5.joint_names) if index != moving]
+    streams = arm_streams(ur5, SECONDS, 1, friction=0.05, resting=resting)
+    effort = streams.joints.effort.copy()
+    still = np.arange(6) != moving
+    effort[:, still] *= np.where(np.arange(5) % 2, 0.2, 3.0)
+    diagnosis = judged(ur5, replace(streams, joints=replace(streams.joints, effort=effort)))
+    assert Kind.TORQUE_GAIN not in {one.kind for one in diagnosis.findings}
+
+
 def test_an_encoder_that_stops_while_its_joint_moves_is_frozen(ur5) -> None:
     streams = arm_streams(ur5, SECONDS, 1, friction=0.05)
     position = streams.joints.position.copy()

@@ -18,8 +18,8 @@ from symbid_ros.diagnosis.forces import (
     check_forces,
     reversed_imu_finding,
 )
+from symbid_ros.diagnosis.gain_problem import GainEstimate
 from symbid_ros.diagnosis.gain_rows import GainLayout
-from symbid_ros.diagnosis.gains import GainEstimate
 from symbid_ros.diagnosis.rotation_fit import RotationFit
 
 IDENTITY = np.eye(3)

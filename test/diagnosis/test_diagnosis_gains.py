@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from symbid_ros.diagnosis.gain_problem import GainEstimate, GainProblem, loads
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout
 from symbid_ros.diagnosis.gains import (
-    GainEstimate,
-    GainProblem,
     estimate_delays,
     estimate_gains,
     find_late_streams,
     fit_imu_rotation,
-    loads,
 )
 from symbid_ros.dynamics.regressor import Rows
 

@@ -1,5 +1,6 @@
 """Friction that changes while drives warm up, found and left behind at the end of a log."""
 
+import logging
 import re
 
 import numpy as np
@@ -161,6 +162,7 @@ def test_drives_that_cooled_in_a_pause_warm_up_again(robot, with_pause) -> None:
 
 def test_a_log_with_many_pauses_is_not_searched(robot, with_pause, monkeypatch, caplog) -> None:
     monkeypatch.setattr(warming, "MOST_PARTS", 1)
+    caplog.set_level(logging.INFO)
     found = sy.identify(robot, with_pause, unchecked=True, no_holdout=True)
     assert not found.estimate.courses
     assert "divide it into 2 parts" in caplog.text

@@ -1,0 +1,170 @@
+"""Scale and delay of the efforts of single joints, with friction of any size."""
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.gain_problem import (
+    DELAY_STD,
+    FLOOR,
+    GAIN_STD,
+    ITERATIONS,
+    LEAST,
+    LOAD_ERROR,
+    SMALL_SHARE,
+    UNMODELLED,
+    GainEstimate,
+    GainProblem,
+)
+
+# Friction of a joint whose effort is checked, in multiples of its load.
+WIDE = 3.0
+# Ratios of readings to efforts that errors of the inertias may cause.
+PLAUSIBLE = 0.6, 1.6
+# Number of variances at which the evidence is compared.
+VARIANCES = 60
+
+
+def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple[float, float]:
+    """Return the ratio of a driven joint's efforts to those expected, and its deviation.
+
+    The gains of `estimate_gains` multiply friction and noise in the readings as well, so a joint
+    with more friction than load appears to have no gain. Here the readings are the load that the
+    inertias imply times the ratio, plus friction, armature and offset of any size. Only the load
+    determines the ratio.
+
+    Parameters
+    ----------
+    problem : GainProblem
+    gains : GainEstimate
+        Estimate from the same rows; its gains of wrenches are used.
+    index : int
+        Index of the driven joint.
+    """
+    layout, rows, p = problem.gains, problem.rows, len(problem.mean)
+    factor, size = _rows_of(problem, index)
+    own = p + layout.efforts.start + index
+    read = -factor[:, own]
+    # Remove the readings, their delay and the drives from the left side: the load remains.
+    unknowns = np.append(problem.mean, gains.mean)
+    unknowns[problem.number_of_inertias : p] = unknowns[p + layout.effort_delay] = 0.0
+    unknowns[own] = -1.0
+    load = factor[:, :-1] @ unknowns - factor[:, -1]
+    if np.sqrt(float(load @ load) / rows.samples) <= LEAST * size or size == 0.0:
+        return 1.0, GAIN_STD
+    inertias, drives = _scaled_columns(problem, factor, size)
+    ratio, left = 1.0, (LOAD_ERROR * size) ** 2
+    for _ in range(2 * ITERATIONS):
+        columns = np.column_stack([load, inertias * np.clip(abs(ratio), LEAST, 1 / LEAST), drives])
+        weight = 1 / (UNMODELLED * (left + (FLOOR * size) ** 2))
+        information = weight * columns.T @ columns + np.eye(columns.shape[1])
+        information[0, 0] += LEAST**2 * weight * float(load @ load) - 1
+        at = np.linalg.solve(information, weight * columns.T @ read)
+        ratio = float(at[0])
+        left = float(np.sum((read - columns @ at) ** 2)) / rows.samples
+    # Friction near rest leaves residuals in which so small a load cannot be seen.
+    if max(abs(ratio), 1.0) * np.sqrt(float(load @ load) / rows.samples) < SMALL_SHARE * size:
+        return 1.0, GAIN_STD
+    std = float(np.sqrt(np.linalg.inv(information)[0, 0]))
+    if layout.wrench_frames or PLAUSIBLE[0] < ratio < PLAUSIBLE[1]:
+        return _away_from_zero(ratio), std
+    # Without measured forces an uncertain load attenuates the ratio. Likelihoods tell whether
+    # efforts of the right scale explain the readings as well.
+    found, right = (
+        log_likelihoods(
+            read - one * load,
+            np.column_stack([abs(one) * inertias, drives]),
+            UNMODELLED * (FLOOR * size) ** 2,
+            rows.samples / UNMODELLED,
+        )
+        for one in (ratio, 1.0)
+    )
+    gained = min(np.subtract(found, right))
+    deviations = float(np.sqrt(max(2 * gained, 0.0)))
+    return _away_from_zero(ratio), max(std, abs(ratio - 1) / max(deviations, 1.0))
+
+
+def effort_delay_error(problem: GainProblem) -> float:
+    """Return the standard deviation of the delay of all efforts, from single joints, s.
+
+    Friction that lags behind the motion looks like a delay, but not like the same one at every
+    joint. If one joint tells most, nothing shows that the others agree.
+    """
+    rows, layout, p = problem.rows, problem.gains, len(problem.mean)
+    found = []
+    for index in range(len(layout.driven)):
+        factor, size = _rows_of(problem, index)
+        if size == 0.0:
+            continue
+        late = factor[:, p + layout.effort_delay] * DELAY_STD
+        target = factor[:, -1] - factor[:, :p] @ problem.mean
+        columns = np.column_stack([late, *_scaled_columns(problem, factor, size)])
+        left = (LOAD_ERROR * size) ** 2
+        for _ in range(2 * ITERATIONS):
+            weight = 1 / (UNMODELLED * (left + (LEAST * size) ** 2))
+            information = weight * columns.T @ columns + np.eye(columns.shape[1])
+            at = np.linalg.solve(information, weight * columns.T @ target)
+            left = float(np.sum((target - columns @ at) ** 2)) / rows.samples
+        found.append((DELAY_STD * at[0], DELAY_STD**2 * np.linalg.inv(information)[0, 0]))
+    if len(found) < min(len(layout.driven), 2):  # the others rest
+        return DELAY_STD
+    delay, variance = np.array(found).T
+    share = (1 / variance) / np.sum(1 / variance)
+    others = 1 / np.sum(share**2) - 1
+    spread = share @ (delay - share @ delay) ** 2 / max(others, LEAST)
+    return float(np.sqrt(1 / np.sum(1 / variance) + spread))
+
+
+def _rows_of(problem: GainProblem, index: int) -> tuple[FloatArray, float]:
+    """Return the factor of a driven joint's rows, and its root mean square reading."""
+    layout, rows = problem.gains, problem.rows
+    first = sum(name.startswith("base/") for name in rows.coordinates)
+    factor = rows.factor(first + layout.driven[index])
+    read = factor[:, len(problem.mean) + layout.efforts.start + index]
+    return factor, float(np.sqrt(float(read @ read) / max(rows.samples, 1)))
+
+
+def _scaled_columns(
+    problem: GainProblem, factor: FloatArray, size: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return columns of inertias and of drives times their deviations; ``size`` is the load's."""
+    links, p = problem.number_of_inertias, len(problem.mean)
+    drives = factor[:, links:p]
+    norm = np.sqrt(np.sum(drives**2, axis=0) / problem.rows.samples)
+    wide = drives[:, norm > 0] * (WIDE * size / norm[norm > 0])
+    return factor[:, :links] * problem.for_joints.std[:links], wide
+
+
+def log_likelihoods(
+    target: FloatArray, columns: FloatArray, least: float, independent: float
+) -> tuple[float, float]:
+    """Return two log likelihoods of a target whose noise variance is not known, up to a constant.
+
+    The first is the evidence, in which the unknowns are marginalised, the second that of their most
+    probable values. A large ratio explains more by its wide columns, which the evidence punishes. A
+    ratio near zero has narrow columns, which the evidence rewards even if the readings agree with a
+    ratio of one, as those of a body do whose centre of mass lies on the axis unlike the model's.
+
+    Parameters
+    ----------
+    target : (w,) float64
+        Factor of the target.
+    columns : (w, q) float64
+        Factor of the columns of q unknowns with zero mean and a deviation of one.
+    least : float
+        Smallest variance of the noise.
+    independent : float
+        Number of independent rows.
+    """
+    values, V = np.linalg.eigh(columns.T @ columns)
+    fit = (V.T @ (columns.T @ target)) ** 2
+    square = float(target @ target)
+    weight = np.geomspace(1 / max(square, least), 1 / least, VARIANCES)[:, None]
+    ratio = weight * np.maximum(values, 0.0)
+    left = weight[:, 0] * square - np.sum(weight**2 * fit / (1 + ratio), axis=1)
+    best = left - independent * np.log(weight[:, 0])
+    evidence = best + np.sum(np.log1p(ratio), axis=1)
+    return float(-0.5 * evidence.min()), float(-0.5 * best.min())
+
+
+def _away_from_zero(ratio: float) -> float:
+    return float(np.copysign(max(abs(ratio), LEAST), ratio))
