@@ -1,5 +1,6 @@
 """Compares joint positions with their velocities and with the model's limits."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -106,24 +107,18 @@ class JointCheck:
         joints = {} if model is None else {joint.name: joint for joint in model.joints}
         known = [i for i, name in enumerate(self.names) if model is None or name in joints]
         driven = [i for i in known if model is None or joints[self.names[i]].effort > 0]
-        found = []
-        for index in known:
-            # Without a model, a joint that never has a position may not need one.
-            most = self._messages if model is not None else self._messages - 1
-            if 0 < self._without_position[index] <= most:
-                share = float(self._without_position[index] / self._messages)
-                is_fatal = model is not None and share >= MOST_MISSING
-                found.append(
-                    Finding.of(
-                        self.topic,
-                        Kind.MISSING_JOINT,
-                        f"{self._without_position[index]} of {self._messages} messages have no "
-                        f"position of {self.names[index]}; let the driver fill "
-                        "JointState.position",
-                        {"messages": self._without_position[index], "share": share},
-                        Severity.UNUSABLE if is_fatal else Severity.WARNING,
-                    )
-                )
+        # Without a model, a joint that never has a position may not need one.
+        most = self._messages if model is not None else self._messages - 1
+        absent = [i for i in known if 0 < self._without_position[i] <= most]
+        fatal = [
+            i
+            for i in absent
+            if model is not None and self._without_position[i] >= MOST_MISSING * self._messages
+        ]
+        found = [
+            *self._absent("position", fatal, Severity.UNUSABLE),
+            *self._absent("position", [i for i in absent if i not in fatal], Severity.WARNING),
+        ]
         silent = [i for i in driven if not self._has_effort[i]]
         # The rows of a floating base are usable without any effort.
         is_fatal = len(silent) == len(driven) and (model is None or not model.floating)
@@ -144,22 +139,23 @@ class JointCheck:
                         Severity.UNUSABLE if is_fatal else Severity.WARNING,
                     )
                 )
-        found += [
-            Finding.of(
-                self.topic,
-                Kind.MISSING_JOINT,
-                f"{self._without_effort[i]} of {self._messages} messages have no effort of "
-                f"{self.names[i]}; let the driver fill JointState.effort",
-                {
-                    "messages": self._without_effort[i],
-                    "share": self._without_effort[i] / self._messages,
-                },
-                Severity.WARNING,
-            )
-            for i in driven
-            if self._has_effort[i] and self._without_effort[i]
-        ]
-        return found
+        incomplete = [i for i in driven if self._has_effort[i] and self._without_effort[i]]
+        return found + list(self._absent("effort", incomplete, Severity.WARNING))
+
+    def _absent(self, kind: str, places: list[int], severity: Severity) -> Iterator[Finding]:
+        """Yield a finding about joints whose positions or efforts some messages lack."""
+        if not places:
+            return
+        counts = self._without_position if kind == "position" else self._without_effort
+        most = int(counts[places].max())
+        yield Finding.of(
+            self.topic,
+            Kind.MISSING_JOINT,
+            f"{'' if len(places) == 1 else 'up to '}{most} of {self._messages} messages have no "
+            f"{kind} of {self._list_names(places)}; let the driver fill JointState.{kind}",
+            {"messages": most, "share": most / self._messages},
+            severity,
+        )
 
     def _velocity_findings(self) -> list[Finding]:
         change, product, velocity = self._both / max(self._count, 1)

@@ -16,7 +16,15 @@ from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import IMU, ODOMETRY, read_stamp
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.base_pose import PoseStream
-from symbid_ros.signals.defects import Defect, DefectCounts, DefectError, kept_in_order, seconds
+from symbid_ros.signals.defects import (
+    LARGEST,
+    Defect,
+    DefectCounts,
+    DefectError,
+    drop_impossible,
+    kept_in_order,
+    seconds,
+)
 from symbid_ros.signals.driving import driving_intervals, is_accelerating, is_driving
 from symbid_ros.signals.joint_merging import merged_joints
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
@@ -233,7 +241,7 @@ def build_joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStrea
     tally.add(Defect.UNKNOWN_JOINT, stamp, unknown)
     tally.add(Defect.REORDERED_JOINTS, stamp, reordered)
     kept = _in_order(np.flatnonzero(~foreign), stamp, tally)
-    ordered = {name: values[kept] for name, values in fields.items()}
+    ordered = {name: drop_impossible(values)[kept] for name, values in fields.items()}
     return JointStream(topic=topic, names=names, stamp=stamp[kept], **ordered)
 
 
@@ -364,8 +372,8 @@ def _frame_id(decoder: TopicDecoder) -> str:
 
 
 def _usable(tally: DefectCounts, stamp: IntArray, readings: dict[str, FloatArray]) -> IntArray:
-    """Return the positions of the messages whose vectors (N, 3 or 4) are all finite."""
-    finite = np.hstack([np.isfinite(values) for values in readings.values()])
+    """Return the positions of the messages whose vectors (N, 3 or 4) a sensor may read."""
+    finite = np.hstack([np.abs(values) <= LARGEST for values in readings.values()])
     if finite.all():
         return np.arange(len(stamp))
     labels = [
@@ -379,8 +387,8 @@ def _usable(tally: DefectCounts, stamp: IntArray, readings: dict[str, FloatArray
             tally.topic,
             Defect.NOT_FINITE,
             f"{tally.source}: {tally.topic}: {labels[bad]} is {values[row, bad]} at "
-            f"{seconds(stamp[row])}, and at least half of the messages hold NaN or infinite "
-            "values; fix the driver or leave the topic out",
+            f"{seconds(stamp[row])}, and at least half of the messages hold NaN, infinite "
+            "or impossible values; fix the driver or leave the topic out",
             "E234",
         )
     bad_labels = [labels[column] for column in np.flatnonzero(~finite.all(axis=0)).tolist()]

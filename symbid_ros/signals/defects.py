@@ -7,12 +7,13 @@ from enum import Enum
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, IntArray, distinct
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray, distinct
 from symbid_ros.errors import DataError
 
 logger = logging.getLogger("symbid_ros.bags")
 
 CLOCK_JUMP = 1_000_000_000  # ns; messages overtake one another by milliseconds only
+LARGEST = 1e9  # in any unit; larger numbers are no readings, but memory or a file that is damaged
 ALWAYS = (-(2**62), 2**62)  # ns; beyond every clock, with room for margins
 
 
@@ -109,6 +110,14 @@ class DefectCounts:
         start, stop = self.during
         inside: BoolArray = (stamps >= start) & (stamps < stop)
         return inside
+
+
+def drop_impossible(values: FloatArray) -> FloatArray:
+    """Replace numbers that no sensor reads by NaN, in place, and return the array."""
+    wrong = ~(np.abs(values) <= LARGEST)
+    if wrong.any():
+        values[wrong] = np.nan
+    return values
 
 
 def seconds(stamp: int | np.int64) -> str:

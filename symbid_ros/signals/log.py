@@ -13,7 +13,13 @@ from symbid_ros.model.fixed_frames import FixedTransform, with_fixed_frames
 from symbid_ros.model.tree import ON_LINK, RobotModel
 from symbid_ros.signals.alignment import resampling_margin
 from symbid_ros.signals.base_pose import PoseStream
-from symbid_ros.signals.defects import Defect, DefectCounts, kept_in_order, seconds
+from symbid_ros.signals.defects import (
+    Defect,
+    DefectCounts,
+    drop_impossible,
+    kept_in_order,
+    seconds,
+)
 from symbid_ros.signals.driving import driving_intervals
 from symbid_ros.signals.streams import (
     WHOLE_LOG,
@@ -186,7 +192,7 @@ class Log:
                     f"row for each of {len(stamp)} instants",
                     "E511",
                 )
-            return np.ascontiguousarray(array[kept])
+            return drop_impossible(array[kept])
 
         def sensors(
             kind: str, given: Mapping[str, ArrayLike] | None

@@ -110,8 +110,24 @@ def test_nan_of_a_joint_is_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture
     assert joints.stamp.tolist() == [1, 2, 3, 4]
     np.testing.assert_array_equal(joints.position[0], [0.1, NAN])
     np.testing.assert_array_equal(joints.velocity[0], [NAN, 1.0])
-    np.testing.assert_array_equal(joints.effort[0], [INFINITE, NAN])
+    np.testing.assert_array_equal(joints.effort[0], [NAN, NAN])
     assert caplog.messages == []
+
+
+def test_numbers_that_no_sensor_reads_are_left_out(tmp_path: Path, caplog) -> None:
+    """A log of a real arm holds 1e305 rad in some rows that its recorder damaged."""
+    damaged = 5
+    payloads = [
+        ("/joint_states", JOINT_STATE, joint_state(n, ["hip"], [1e305 if n == damaged else 0.1]))
+        for n in range(10)
+    ]
+    readings = [
+        ("/imu/data", IMU, imu(n, (0.0, -1e240 if n == damaged else 0.0, 0.0))) for n in range(10)
+    ]
+    streams = read_streams([write_rosbags(tmp_path / "log", [*payloads, *readings])])
+    assert np.flatnonzero(np.isnan(streams.joints.position)).tolist() == [damaged]
+    assert damaged not in streams.imus[0].stamp
+    assert "1 of 10 messages have no finite angular_velocity.y" in caplog.text
 
 
 def test_errors_for_missing_topics_list_the_existing_ones(tmp_path: Path) -> None:

@@ -114,7 +114,7 @@ def test_slices_add_up_and_messages_of_other_joints_are_ignored():
     check.add(part(slice(0, 2)))
     assert check.findings(None) == []
     check.add(part(slice(0, 3)))
-    assert "2 of 3 messages have no effort of hip" in check.findings(None)[0].message
+    assert "2 of 3 messages have no effort of all joints" in check.findings(None)[0].message
 
 
 def test_missing_values_are_counted_from_the_first_stamp_up_to_the_second():
