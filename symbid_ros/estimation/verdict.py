@@ -146,8 +146,11 @@ class Verdict:
         return f"drive gains: {', '.join(gains)}" if gains else ""
 
     def describe_mass_scale(self) -> str:
-        """Return what the data cannot check about the masses; empty with a weighing."""
-        if self.mass_scale == 0:
+        """Return what the data cannot check about the masses; empty with a weighing.
+
+        Beside drive gains another line says where the scale comes from.
+        """
+        if self.mass_scale == 0 or self.describe_drive_gains():
             return ""
         return (
             f"mass scale ± {100 * self.mass_scale:.2g} %, not checkable without a weighing: give "

@@ -7,6 +7,7 @@ wrong signs and units, as in `symbid bag doctor`.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 
 from symbid_ros.arrays import concatenated
 from symbid_ros.atomic_write import write_text
@@ -292,13 +293,24 @@ class _Inspector:
         for frame in self.frames.values():
             if found.figures.get(f"{frame}/gain", 1.0) < 0:
                 self._flip(frame)
+        factors, unknown = {}, []
         for name in self.robot.joint_names:
             gain = found.figures.get(f"{name}/effort_gain")
             std = found.figures.get(f"{name}/effort_gain_std", 0.0)
-            if gain is None or std > KNOWN * abs(gain):
+            if gain is None:
                 continue
-            if not GAINS[0] < gain / common < GAINS[1]:
-                self._scale(name, gain / common)
+            if std > KNOWN * abs(gain):
+                unknown.append(name)
+            else:
+                factors[name] = gain / common
+        scaled = {name: one for name, one in factors.items() if not GAINS[0] < one < GAINS[1]}
+        for name, factor in scaled.items():
+            self._scale(name, factor)
+        usual = median(map(abs, scaled.values())) if scaled else 1.0
+        if len(scaled) == len(factors) and not GAINS[0] < usual < GAINS[1]:
+            # No joint has the unit of the model, so those without a visible load have not either.
+            for name in unknown:
+                self._scale(name, usual)
         for one in found.findings:
             place = self.frames.get(one.stream, "")
             if one.kind is Kind.IMU_MOUNTING and place and "roll_deg" in one.figures:

@@ -7,7 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from arm_log import arm_streams
 from bag_editing import Messages, edit_bag
+from documented_robots import ur5_urdf
+from foreign_bags import joint_state, joints_only
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -93,7 +96,28 @@ def test_init_finds_names_signs_and_units(robot_file) -> None:
         if name in found:
             assert found[name] == pytest.approx(constant, rel=0.15)
     assert parameters["drive_gain"] == list(found)
-    assert len(found) >= 8  # the ankles' side joints carry little
+    assert len(found) >= 8  # the others have no drive
+
+
+def test_drives_without_a_visible_load_read_currents_like_the_others(tmp_path) -> None:
+    """Otherwise they would tell the scale of the others, as joints in Nm do."""
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 20.0, 1, friction=0.08, resting=arm.joint_names[4:]).joints
+    columns = zip(read.stamp, read.position, read.velocity, 0.1 * read.effort, strict=True)
+    messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in columns]
+    setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    assert setup.options["drive_gain"] == list(arm.joint_names)
+    found = {name: float(one) for name, one in entries(setup.options["effort_scale"]).items()}
+    assert list(found.values())[1:3] == pytest.approx([10, 10], rel=0.3)
+
+
+def test_a_joint_with_the_unit_of_the_model_leaves_unseen_ones_alone(log, tmp_path) -> None:
+    def one_current(messages: Messages) -> None:
+        messages.records["effort"][:, messages.joints.index("L_hfe")] /= 10.0
+
+    bag = edit_bag(log, tmp_path / "bag", {"/joint_states": one_current})
+    setup = inspect_robot(config_file("symbitron.urdf"), [bag])
+    assert setup.options["drive_gain"] == ["L_hfe"]
 
 
 def test_the_file_serves_the_commands(symbid_here, foreign, robot_file, tmp_path) -> None:
