@@ -281,7 +281,8 @@ def _effort_findings(
             f"{topic}: effort of {whose} reads {reads:.3g} times what the motion implies; "
             f"inertia errors of 25 % explain only {GAINS[0]:g} to {GAINS[1]:g}; check its unit, "
             "gear ratio or torque constant, or write "
-            + robot_file_line("effort_scale", *(f"{name}:=FACTOR" for name in names)),
+            + robot_file_line("effort_scale", *(f"{name}:=FACTOR" for name in names))
+            + ", or let `drive_gain` identify it",
             {"reads": reads} | {f"{name}/reads": wrong[name] for name in names},
         )
 
