@@ -134,17 +134,27 @@ class JitterCheck:
     ) -> None:
         lag = max(1, round(SPAN * rate))
         time = (stamp - stamp[0]) * 1e-9
-        if len(time) <= 2 * lag:
-            return
-        steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
-        path = np.vstack([np.zeros((1, velocity.shape[1])), np.cumsum(steps, axis=0)])
-        error = (path[lag:] - path[:-lag]) - (position[lag:] - position[:-lag])
-        mean = (position[lag:] - position[:-lag]) / SPAN
+
+        def compared(block: slice) -> tuple[FloatArray, FloatArray]:
+            """Return errors of the velocities over the spans that begin in a block, and means."""
+            part = slice(block.start, block.stop + lag)
+            rates, times, places = velocity[part], time[part], position[part]
+            steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None]
+            path = np.vstack([np.zeros((1, rates.shape[1])), np.cumsum(steps, axis=0)])
+            moved = places[lag:] - places[:-lag]
+            return (path[lag:] - path[:-lag]) - moved, moved / SPAN
+
+        # Block by block, since arrays of a whole slice would be large.
+        blocks = list(_blocks(len(time) - lag, rate))
+        sums = np.zeros((2, velocity.shape[1]))
+        for block in blocks:
+            error, mean = compared(block)
+            sums += np.sum([error * mean, mean**2], axis=1)
         # A wrong scale or offset of the velocities is no jitter.
-        moved = np.sum(mean**2, axis=0)
-        error -= mean * np.sum(error * mean, axis=0) / np.where(moved > 0, moved, 1.0)
-        for block in _blocks(len(error), rate):
-            self._spans.add(error[block], mean[block])
+        scale = sums[0] / np.where(sums[1] > 0, sums[1], 1.0)
+        for block in blocks:
+            error, mean = compared(block)
+            self._spans.add(error - mean * scale, mean)
 
     def findings(self) -> list[Finding]:
         """Return what is wrong with the samples' times, and what was corrected."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 
+import numpy as np
+
 from symbid_ros.arrays import concatenated
 from symbid_ros.diagnosis.findings import Finding
 from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
@@ -25,7 +27,7 @@ from symbid_ros.signals.filters import LowPass, SavitzkyGolay, Smoothing, row_in
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sampled_rows import RowBuilder, sampled_rows
 from symbid_ros.signals.segments import RemoteSegments, Segment, cut_to, fingerprint
-from symbid_ros.signals.sensor_samples import build_samples, probed
+from symbid_ros.signals.sensor_samples import PROBE_PERIOD, build_samples, probed
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     BLOCK,
@@ -40,8 +42,11 @@ from symbid_ros.signals.weak_form import (
 
 # Slices are whole blocks, and no window crosses a block, so the cuts do not change the results.
 SPAN = 15 * BLOCK
-# Bytes of aligned channels that are kept in memory: three minutes of the Symbitron.
-MOST_KEPT = 64 << 20
+# Bytes of aligned channels that are kept in memory: 45 s of the Symbitron.
+MOST_KEPT = 16 << 20
+# Instants at which unfiltered samples are kept; beyond, every second one is dropped, again and
+# again, so that long logs take no more memory.
+MOST_PROBES = 12_000
 
 logger = logging.getLogger(__name__)
 
@@ -316,7 +321,8 @@ class Dataset:
     segments : iterable of Segment
         Aligned sensor channels, unfiltered.
     samples : Samples
-        Filtered motion and forces, at few instants if rows are averaged over windows.
+        Filtered motion and forces; of rows that are averaged over windows, unfiltered ones at few
+        instants.
     observations : tuple of Observations
         The folded rows for each window length.
     """
@@ -376,12 +382,12 @@ def fold_dataset(
     model, smoothing = parameters.model, processing.smoothing
     if smoothing is None:
         layout = RowLayout.of(parameters)
-        probes: list[Samples] = []
+        probes = Probes(model)
         windows = processing.windows
         used: set[float] = set()
         checked = _check_rates(segments, windows, source, used)
         observations = observe(
-            _collect_probes(checked, model, probes),
+            probes.watch(checked),
             equation_rows(parameters),
             layout,
             windows,
@@ -390,7 +396,7 @@ def fold_dataset(
             jobs=processing.jobs,
             first=processing.first,
         )
-        samples = concatenated(probes)
+        samples = concatenated(probes.parts)
         observations = tuple(one for one in observations if one.rows.samples > 0)
         if not observations:
             raise DataError(
@@ -451,10 +457,19 @@ def _check_rates(
         yield segment
 
 
-def _collect_probes(
-    segments: Iterable[Segment], model: RobotModel, probes: list[Samples]
-) -> Iterator[Segment]:
-    """Yield the segments and collect unfiltered samples at few of their instants."""
-    for segment in segments:
-        probes.append(probed(segment, model))
-        yield segment
+@dataclass
+class Probes:
+    """Unfiltered samples at few instants of segments that pass by."""
+
+    model: RobotModel
+    parts: list[Samples] = field(default_factory=list)
+    _period: float = PROBE_PERIOD
+
+    def watch(self, segments: Iterable[Segment]) -> Iterator[Segment]:
+        """Yield the segments and collect samples."""
+        for segment in segments:
+            self.parts.append(probed(segment, self.model, self._period))
+            if sum(map(len, self.parts)) > MOST_PROBES:
+                self._period *= 2
+                self.parts = [one[np.arange(0, len(one), 2)] for one in self.parts]
+            yield segment

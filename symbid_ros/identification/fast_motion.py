@@ -30,13 +30,12 @@ from symbid_ros.identification.solver import Solver
 from symbid_ros.identification.window_comparison import COMPARABLE
 from symbid_ros.signals.fast_rows import LENGTH, SPACING, Bands, ComplexArray, FastRows
 from symbid_ros.signals.segments import RemoteSegments, Segment
-from symbid_ros.signals.sensor_samples import PROBE_PERIOD
 from symbid_ros.signals.weak_form import BLOCK, INFLATION, cut_into_blocks
 
 logger = logging.getLogger(__name__)
 
 # Bytes of rows that are kept; of a longer log, blocks at equal distances are used.
-MOST_KEPT = 128 << 20
+MOST_KEPT = 64 << 20
 # Power of an effort in the bands, over that of its noise, from which a block contains fast motion.
 FAST = 10.0
 # Information, in bits, from which fast motion is used.
@@ -332,7 +331,8 @@ def _fast_rows(solver: Solver, dataset: Dataset) -> Iterator[FastRows]:
         return
     parameters = replace(problem.parameters, candidates=False)
     used = ~_have_dry_friction(problem)
-    blocks = len(dataset.samples) * PROBE_PERIOD / (BLOCK * 1e-9)
+    stamp = dataset.samples.stamp
+    blocks = len(stamp) * float(np.median(np.diff(stamp, prepend=stamp[0] - BLOCK))) / BLOCK
     index = 0
     for segment in segments:
         bands = Bands(segment.rate)

@@ -9,6 +9,7 @@ from bag_editing import Messages, edit_bag
 
 from symbid_ros.bags import bag_log
 from symbid_ros.errors import BagError, DataError
+from symbid_ros.identification import dataset
 from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
@@ -114,3 +115,21 @@ def test_instants_in_a_gap_are_counted_once(model, bag: Path, tmp_path: Path, ca
     joined(log)
     told = [one for one in caplog.messages if "lie in gaps" in one]
     assert told == [f"{gappy}: 400 of {len(whole)} instants lie in gaps and are left out"]
+
+
+def test_probes_of_a_long_log_are_thinned(model, bag: Path, monkeypatch) -> None:
+    segments = list(AlignedLog(bag_log([bag], model), model, span=BLOCK))
+    every = dataset.Probes(model)
+    assert list(every.watch(segments)) == segments
+    monkeypatch.setattr(dataset, "MOST_PROBES", 100)
+    few = dataset.Probes(model)
+    list(few.watch(segments))
+    all_stamps, stamps = (
+        np.concatenate([one.stamp for one in probes.parts]) for probes in (every, few)
+    )
+    assert len(all_stamps) > 200
+    assert 50 < len(stamps) <= 100
+    assert set(stamps) <= set(all_stamps)
+    steps = np.diff(stamps)
+    assert steps.max() <= 2 * np.median(steps)
+    assert stamps[-1] >= all_stamps[-1] - np.median(steps)
