@@ -69,7 +69,7 @@ from symbid_ros.identification.stored_information import (
     with_columns,
 )
 from symbid_ros.identification.tares import Tare, read_tare
-from symbid_ros.identification.term_priors import candidate_prior
+from symbid_ros.identification.term_priors import candidate_prior, named_term_prior
 from symbid_ros.identification.warming import find_warming
 from symbid_ros.model.load import model_files
 from symbid_ros.model.parameters import ParameterSet
@@ -399,9 +399,10 @@ def _build_solver(
         inputs=inputs,
         force_scale_std=options.force_scale,
     )
-    if parameters.candidates:
+    if parameters.candidates or (parameters.terms and options.is_empirical):
         scale = None if factors is None else factors.values
-        prior = candidate_prior(prior, parameters, dataset.observations[0], scale)
+        of_terms = candidate_prior if parameters.candidates else named_term_prior
+        prior = of_terms(prior, parameters, dataset.observations[0], scale)
         problem = replace(problem, prior=prior)
     if options.sensor_error_kinds or factors is not None:
         kinds = options.sensor_error_kinds + ((DRIVE_GAIN,) if factors is not None else ())

@@ -81,6 +81,21 @@ def candidate_prior(
     return prior.widened(std / prior.std)
 
 
+def named_term_prior(
+    prior: Prior,
+    parameters: ParameterSet,
+    observations: Observations,
+    factors: FloatArray | None = None,
+) -> Prior:
+    """Return the prior in which named terms are at least as uncertain as candidates.
+
+    Default deviations suit a leg. A harmonic drive that rubs a hundred times as much would keep
+    none of its friction.
+    """
+    sized = candidate_prior(prior, parameters, observations, factors)
+    return prior.widened(np.maximum(sized.std / prior.std, 1.0))
+
+
 def _with_contact_deviations(
     prior: Prior, parameters: ParameterSet, observations: Observations
 ) -> Prior:

@@ -6,7 +6,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.joint_terms import TermChoice, choose_terms
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.term_priors import candidate_prior
+from symbid_ros.identification.term_priors import candidate_prior, named_term_prior
 from symbid_ros.model.parameters import ParameterSet
 
 # Factor by which the number of blocks grows between two choices.
@@ -40,18 +40,18 @@ class LiveTerms:
         The choice is made again when there are half as many blocks again as at the last one. It
         takes as long as an estimate.
         """
+        problem = self.with_prior(problem, count)
         if not self._parameters.candidates:
             return problem
-        problem = self.with_prior(problem, count)
         if self._choice is None or count >= CHOOSE_AGAIN * self._chosen_at:
             self._choice, self._chosen_at = choose_terms(problem, self._choice), max(count, 1)
         return self._choice.applied(problem)
 
     def chosen_anew(self, problem: Problem) -> Problem:
         """Return a problem with the terms that an offline run on the same data chooses."""
+        problem = replace(problem, prior=self._sized_prior(problem))
         if not self._parameters.candidates:
             return problem
-        problem = replace(problem, prior=self._candidate_prior(problem))
         self._choice = choose_terms(problem)
         return replace(self._choice.applied(problem), choice=self._choice)
 
@@ -59,7 +59,7 @@ class LiveTerms:
         """Return a problem whose prior has the sizes of terms that ``count`` blocks suggest."""
         known = self._prior
         if known is None or not count or known[0] != count or known[1] is not problem.prior:
-            known = self._prior = count, problem.prior, self._candidate_prior(problem)
+            known = self._prior = count, problem.prior, self._sized_prior(problem)
         return replace(problem, prior=known[2])
 
     def usable_rows(self, observations: Observations) -> Observations:
@@ -72,5 +72,11 @@ class LiveTerms:
         """Forget the choice."""
         self._choice = None
 
-    def _candidate_prior(self, problem: Problem) -> Prior:
-        return candidate_prior(problem.prior, self._parameters, problem.observations[0])
+    def _sized_prior(self, problem: Problem) -> Prior:
+        """Return the prior with deviations of joint terms that suit the robot's efforts."""
+        parameters, prior = self._parameters, problem.prior
+        if parameters.candidates:
+            return candidate_prior(prior, parameters, problem.observations[0])
+        if parameters.terms and problem.is_empirical:
+            return named_term_prior(prior, parameters, problem.observations[0])
+        return prior

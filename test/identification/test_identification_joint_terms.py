@@ -48,6 +48,18 @@ def test_the_terms_that_made_the_data_are_chosen(terms):
             assert abs(found.value - value) < 5 * found.std
 
 
+@pytest.mark.parametrize("terms", ["auto", "viscous,coulomb"])
+def test_drives_that_rub_more_than_a_leg(terms):
+    """The default deviations of named terms are 1 Nm s/rad and 2 Nm."""
+    robot, truth = arm(), {"viscous": 150.0, "coulomb": 40.0}
+    log = log_of(robot, drives(robot, **truth))
+    result = sy.identify(robot, log, unchecked=True, no_holdout=True, joint_terms=terms)
+    for joint in robot.joint_names:
+        for term, value in truth.items():
+            found = result.parameters[f"{joint}/{term}"]
+            assert abs(found.value - value) < max(5 * found.std, 0.01 * value)
+
+
 def test_offsets_are_chosen():
     robot = arm()
     log = log_of(robot, drives(robot), offset=0.7)
