@@ -1,8 +1,9 @@
 """Read bags as streams of arrays in slices of time, so that long logs need not fit in memory."""
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,14 @@ from symbid_ros.messages.contact_flags import FlagHistory
 from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.layout import ByteArray
 from symbid_ros.messages.sensor_streams import build_streams, group_joints, read_stamps
-from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
+from symbid_ros.messages.static_transforms import is_static
+from symbid_ros.messages.topics import (
+    SelectedTopics,
+    Topic,
+    TopicSelection,
+    TopicSelector,
+    describe_topics,
+)
 from symbid_ros.messages.types import read_leading_stamp, read_stamp
 from symbid_ros.progress import report
 from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
@@ -38,6 +46,8 @@ MAX_BUFFERED = 256 << 20
 SHORTEST_PAUSE = 10 * SECOND
 
 DEFAULT_SELECTION = TopicSelection()
+
+logger = logging.getLogger("symbid_ros.bags")
 
 
 def iterate_slices(
@@ -74,7 +84,10 @@ def iterate_slices(
     """
     source = join_names(bags)
     counts = count_messages(bags)
-    slicer = _Slicer(source, TopicSelector(source, topics, counts).select(), span, part)
+    chosen = TopicSelector(source, topics, counts).select()
+    slicer = _Slicer(source, chosen, span, part)
+    if len(bags) > 1:
+        _warn_of_unused(tuple(bags), frozenset(chosen.all))
     total, done = sum(counts.values()), 0
     for recording in separate_recordings(bags) if span else [tuple(bags)]:
         slicer.begin(join_names(recording))
@@ -91,6 +104,15 @@ def iterate_slices(
             break
     if warn:
         slicer.report()
+
+
+@cache
+def _warn_of_unused(bags: tuple[Path, ...], used: frozenset[Topic]) -> None:
+    """Warn about bags that add nothing to a log, once."""
+    for bag in bags:
+        inside = count_messages([bag])
+        if not any(topic in used or is_static(topic) for topic in inside):
+            logger.warning("%s: none of its topics is used, %s", bag, describe_topics(inside))
 
 
 class _Slicer:

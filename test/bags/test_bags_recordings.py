@@ -80,6 +80,12 @@ def test_a_second_recording_in_the_same_minute_loses_nothing(write) -> None:
     assert [len(one.streams.joints.stamp) for one in pieces] == [len(TICKS)] * 2
 
 
+def test_a_bag_that_adds_nothing_is_named(write, tmp_path: Path, caplog) -> None:
+    empty = write_rosbags(tmp_path / "other", [], topics=[("/chatter", JOINT_STATE)])
+    list(iterate_slices([write("a", YEAR_2026), empty], span=MINUTE))
+    assert f"{empty}: none of its topics is used, /chatter" in caplog.text
+
+
 def test_equal_wall_clocks_are_those_of_copies(write) -> None:
     bags = [write("a", YEAR_2026), write("b", YEAR_2026 + 1.0)]
     assert YEAR_2026 * 1e9 > WALL_CLOCK
