@@ -5,11 +5,12 @@ Usage: .venv/bin/python bench/estimators.py [--seed 100] [--draws 9] [--cases sm
 
 Prints a Markdown table. One draw is a prior and a log with its noise. Logs are simulated one by one
 into a temporary folder. The estimates are evaluated on an ideal smooth log of another motion. The
-cases smooth and vibrating have no systematic errors. In the case errors, a smooth log of a robot
-with typical systematic errors is identified with a tare and a weighing, in the case uncured without
-them. The cases lengths, delays and everything add wrong link lengths, late sensors, and both with
-different sample rates and quantisation; these are estimated as well. The case tracked has the logs
-of everything with a topic of the base's pose. A draw takes about a minute.
+cases smooth, vibrating, one_leg and stepping have no systematic errors. In the case errors, a
+smooth log of a robot with typical systematic errors is identified with a tare and a weighing, in
+the case uncured without them. The cases lengths, delays and everything add wrong link lengths, late
+sensors, and both with different sample rates and quantisation; these are estimated as well. The
+case tracked has the logs of everything with a topic of the base's pose. A draw takes about a
+minute.
 
 With `--bound` the Bayesian Cramér-Rao bounds of the centre of mass and of the torque are printed
 too: roots of their means over the draws, and in brackets the ratios of the errors' to them. The
@@ -67,6 +68,8 @@ CASES = {
         "typical,link_length,delays,sample_rates,quantisation",
         ("typical", "link_length", "sensor_delay"),
     ),
+    "one_leg": ("one_leg", "", ()),
+    "stepping": ("stepping", "", ()),
 }
 # The same logs with a topic of the base's pose: 1 mm and 1 mrad of noise at 100 Hz.
 CASES["tracked"] = CASES["everything"]

@@ -6,21 +6,25 @@ All sensors of the Symbitron are noisy at 1 kHz, and nothing is filtered. The mo
 encoders and IMU alone, so their noise, differentiated as often as the equation of motion asks for,
 hides fast motion: that of an encoder grows with the square of the frequency. Prints the Bayesian
 Cramér-Rao bound with the information in each band of frequencies, and the errors of `map_lmi` on
-the same logs, as roots of means of squares over draws.
+the same logs, as roots of means of squares over draws. The information about the legs is the sum
+over their links, by the bound and by `map_lmi`.
 
 That the soles stay at rest is not used, neither here nor by `symbid identify`.
 """
 
 import argparse
+import shutil
+import sys
 import tempfile
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from estimators import MODEL, STRIDE, identified
+from estimators import DETERMINED, MODEL, STRIDE, identified
 from noise_bound import EDGES, band_information, expected_errors
 from threadpoolctl import threadpool_limits
 
+from symbid_ros.estimation.directions import determined_directions
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.evaluation import TrueMotion, evaluate
 from symbid_ros.model.load import load_model
@@ -31,6 +35,7 @@ from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
 PERCENT = 25.0
+BASE = "base_link"  # the other links are those of the legs
 
 
 def main() -> None:
@@ -43,8 +48,9 @@ def main() -> None:
     given = options.parse_args()
     parameters = ParameterSet(load_model(MODEL))
     bands = [f"{low:g}–{high:.0f} Hz" for low, high in pairwise(EDGES)]
-    columns = "log", "joint accelerations, rad/s²", "CoM, mm: bound", "error", "torque, Nm: bound"
-    columns = *columns, "error", *(f"bits, {band}" for band in bands)
+    columns = "log", "s", "joint accelerations, rad/s²", "CoM, mm: bound", "error"
+    columns = *columns, "torque, Nm: bound", "error", "legs, bits: bound", "estimate"
+    columns = *columns, *(f"bits, {band}" for band in bands)
     print(f"| {' | '.join(columns)} |\n{len(columns) * '|---'}|", flush=True)
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
         for case in given.cases:
@@ -56,28 +62,42 @@ def row(case: str, given: argparse.Namespace, parameters: ParameterSet, folder: 
     judged = simulated(folder / f"judged_{case}", "smooth", given.seed + 5000, 10)[::STRIDE]
     truth, figures = parameters.values, []
     for seed in range(given.seed, given.seed + given.draws):
-        motion = simulated(folder / f"ideal_{case}_{seed}", case, seed, given.moves)
-        prior = draw_prior(parameters, "percent", PERCENT, seed)
-        scale = prior.covariance_factor()
-        bits, total = [], np.eye(len(truth))
-        for part in band_information(parameters, motion.samples):
-            before = np.linalg.slogdet(total)[1]
-            total = total + scale.T @ part @ scale
-            bits.append(0.5 * (np.linalg.slogdet(total)[1] - before) / np.log(2))
-        bound = scale @ np.linalg.inv(total) @ scale.T
         log = folder / f"{case}_{seed}"
         noisy = SimulateOptions(case, moves=given.moves, motion_seed=seed, noise_seed=seed)
         record(Simulator(noisy), log)
+        samples = read_true_motion([log], load_model(MODEL)).samples
+        prior = draw_prior(parameters, "percent", PERCENT, seed)
+        scale = prior.covariance_factor()
+        bits, total = [], np.eye(len(truth))
+        for part in band_information(parameters, samples):
+            before = np.linalg.slogdet(total)[1]
+            total = total + scale.T @ part @ scale
+            bits.append(0.5 * (np.linalg.slogdet(total)[1] - before) / np.log(2))
+        factor = scale @ np.linalg.inv(np.linalg.cholesky(total)).T
         ((_, found),) = identified(log, case, parameters, [prior], given)
+        shutil.rmtree(log)
         errors = evaluate(parameters, {"": found.estimate.value}, truth, judged)[""]
-        com, torque = expected_errors(parameters, bound, judged)
-        speed_up = np.sqrt(np.mean(motion.samples.acceleration**2))
+        com, torque = expected_errors(parameters, factor @ factor.T, judged)
+        least = determined_directions(scale, factor, parameters.names, DETERMINED).link_gain
+        verdict = found.estimate.verdict
         figures.append(
-            [speed_up, com, errors.com_position_rmse_mm, torque, errors.torque_rmse, *bits]
+            [
+                1e-9 * float(samples.stamp[-1] - samples.stamp[0]),
+                np.sqrt(np.mean(samples.acceleration**2)),
+                *(com, errors.com_position_rmse_mm, torque, errors.torque_rmse),
+                *(leg_bits(least), np.nan if verdict is None else leg_bits(verdict.link_gain)),
+                *bits,
+            ]
         )
+        print(case, seed, *(f"{value:.4g}" for value in figures[-1]), file=sys.stderr, flush=True)
     means = np.sqrt(np.mean(np.square(figures), axis=0))
-    cells = [f"{value:.3g}" for value in means[:5]] + [f"{value:.1f}" for value in means[5:]]
+    cells = [f"{value:.3g}" for value in means[:7]] + [f"{value:.1f}" for value in means[7:]]
     return f"| {case} | {' | '.join(cells)} |"
+
+
+def leg_bits(link_gain: dict[str, float]) -> float:
+    """Return the information about the links of the legs, summed over the links."""
+    return sum(bits for link, bits in link_gain.items() if link != BASE)
 
 
 def simulated(bag: Path, scenario: str, seed: int, moves: int) -> TrueMotion:

@@ -209,22 +209,16 @@ def sensor_noise(
     readings = Readings(parameters, block, size)
     to_motion, to_force = readings.slopes
     deviations = readings.noise
+    # The residual's change by each channel of the motion and its two derivatives.
+    changes = to_motion @ parameters.values
 
     def at(frequency: FloatArray) -> NDArray[np.complex128]:
-        motion = np.einsum("mnpf,p->fnm", in_time(to_motion, frequency), parameters.values)
+        powers = (2j * np.pi * frequency) ** np.arange(3)[:, None]
+        motion = np.einsum("kmn,kf->fnm", changes, powers)
         force = np.broadcast_to(-to_force, (len(frequency), *to_force.shape))
         return np.concatenate([motion, force], axis=2) * deviations
 
     return at
-
-
-def in_time(slopes: FloatArray, frequency: FloatArray) -> NDArray[np.complex128]:
-    """Return the change of K (m, n, p, F) by each channel of the motion.
-
-    ``slopes`` (3, m, n, p) are those by a channel and its two derivatives.
-    """
-    powers = (2j * np.pi * frequency) ** np.arange(3)[:, None]
-    return np.einsum("kmnp,kf->mnpf", slopes, powers)
 
 
 @dataclass(frozen=True)
