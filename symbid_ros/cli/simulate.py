@@ -62,7 +62,7 @@ def simulate(
     of mass. In [b]wide[/b] it moves as far as a robot with a good model of itself stands. In
     [b]squat[/b] it moves mostly up and down. In [b]one_leg[/b] it stands on each leg
     in turn while the other foot makes --moves moves in the air, 1.3 s each. In [b]stepping[/b] it
-    makes --moves slow steps, forward and back. In [b]suspended[/b] it hangs from an overhead
+    makes --moves steps, forward and back, 2 s each. In [b]suspended[/b] it hangs from an overhead
     support that rocks it. In [b]tare[/b] it hangs at rest for 5 s and the force plates
     carry no load; --moves and --motion-seed have no effect.
 

@@ -23,15 +23,16 @@ LEANS = np.radians([8.0, 16.0])  # lowest and highest
 BEGINNING, ENDING = 1.8, 1.8  # s, at rest on both feet
 SHIFT = 1.0  # s, from one foot to the other
 RAMP = 0.15  # s, of a foot's load after touch-down and before lift-off
-# Steps are long, high and fast, since a leg that accelerates more tells more about its inertia.
-# With strides of 0.14 m, lifts of 0.18 m and swings of 0.8 s, an ankle reaches its end stop.
-SWING = 0.9  # s, of a step
+# Steps are high and fast, since a leg that accelerates more tells more about its inertia. The
+# limits are end stops: of the hip above a stance foot far ahead of the other foot, of the ankles
+# between long steps, and of the undriven ankle joint of a foot that is lifted high.
+SWING = 0.75  # s, of a step
 LANDING = 1.0  # s, of a foot that has hovered
 # Toes point down while a foot is lifted, because the ankle would reach its end stop; rad/m.
-PITCH_PER_LIFT = 2.0
-STRIDES = 0.12  # m, forward or back, of a foot from a place beside the other
-CLEARANCES = 0.05, 0.15  # m, of the ankle above its place on the ground
-PRESSURES = 0.03  # m, forward or back from the middle of the sole
+PITCH_PER_LIFT, HOVER_PITCH_PER_LIFT = 3.0, 2.0
+STRIDES = 0.08  # m, forward or back, of a foot from a place beside the other
+CLEARANCES = 0.14, 0.18  # m, of the ankle above its place on the ground
+PRESSURES = 0.02  # m, forward or back from the middle of the sole
 # Points where a foot hovers, forward, outward and up from where it stood, m. Fast moves outward
 # would swing the foot, a pendulum about its undriven ankle joint, into its end stop.
 HOVERS = np.array([[-0.08, -0.01, 0.04], [0.08, 0.03, 0.09]])
@@ -123,7 +124,7 @@ class FootstepPlanner:
         """Move a foot, in the air, to a height (m) above a place (2,) on the floor."""
         path = self._feet[foot]
         path.rest_until(self._now)
-        raised = [self._ground[foot] + height, PITCH_PER_LIFT * height]
+        raised = [self._ground[foot] + height, HOVER_PITCH_PER_LIFT * height]
         path.move_to(np.append(place, raised), duration)
         self._now += duration
 

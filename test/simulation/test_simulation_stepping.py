@@ -51,7 +51,7 @@ def test_centre_of_pressure_of_the_pendulum_follows_its_path():
 def test_a_step_unloads_one_plate_and_ends_on_both_feet(stepping, body):
     force = stepping.array("wrenches")[:, :, 2]
     airborne = np.all(stepping.array("wrenches")[:, LEFT] == 0.0, axis=1)
-    assert 0.7 < 1e-3 * longest_run(airborne) < 1.1
+    assert 0.6 < 1e-3 * longest_run(airborne) < 1.0
     np.testing.assert_allclose(force[airborne, RIGHT].mean(), MASS * GRAVITY, rtol=2e-3)
     np.testing.assert_allclose(force[-1], MASS * GRAVITY / 2.0, rtol=0.05)
     heights, places = [], []
@@ -60,7 +60,7 @@ def test_a_step_unloads_one_plate_and_ends_on_both_feet(stepping, body):
         mujoco.mj_kinematics(body.model, body.data)
         heights.append(body.site("left_sole")[0][2])
         places.append(body.site("right_sole")[0])
-    assert 0.03 < max(heights) < 0.18
+    assert 0.05 < max(heights) < 0.22
     np.testing.assert_allclose(places - places[0], 0.0, atol=1e-3)
     # The foot comes down flat, with no more than its own weight's impact.
     assert heights[-1] == pytest.approx(heights[0], abs=5e-4)
@@ -72,7 +72,7 @@ def test_gravity_alone_changes_the_angular_momentum_about_the_undriven_ankle(ste
     airborne = np.all(stepping.array("wrenches")[:, LEFT] == 0.0, axis=1)
     start = int(np.flatnonzero(airborne)[200])
     momenta, arms = [], []
-    for instant in stepping.instants[start : start + 500]:
+    for instant in stepping.instants[start : start + 400]:
         body.set(instant)
         mujoco.mj_kinematics(body.model, body.data)
         mujoco.mj_comPos(body.model, body.data)
