@@ -14,7 +14,7 @@ from symbid_ros.estimation.provenance import Provenance, option_values
 from symbid_ros.identification.evaluation import Metrics, TrueMotion, true_motion
 from symbid_ros.identification.evaluation import evaluate as evaluate_candidates
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
-from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.options import IdentifyOptions, PayloadSource
 from symbid_ros.identification.realistic_prediction import RealisticMotion, realistic_motion
 from symbid_ros.identification.result import Result
 from symbid_ros.identification.rigid_sensors import RigidSensors
@@ -194,10 +194,12 @@ class BagRequest:
         if left or not loaded:
             return left, self.options
         log = self.bags[0]
-        payload = tuple(
-            text if isinstance(bag, Path) and bag.resolve() == log.resolve() else f"{bag}:{text}"
-            for bag, text in self.options.loaded_logs
-        )
+        payload: list[PayloadSource] = []
+        for bag, text in self.options.loaded_logs:
+            if not isinstance(bag, Path):
+                payload.append((bag, text))
+            else:
+                payload.append(text if bag.resolve() == log.resolve() else f"{bag}:{text}")
         return (log,), replace(self.options, payload=(*self.options.payloads, *payload))
 
     def load(self, out: Path | None = None) -> LoadedProblem:

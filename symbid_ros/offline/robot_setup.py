@@ -337,7 +337,8 @@ class _Inspector:
         self.setup.options["drive_gain"] = list(entries)
         self.setup.note(
             "effort_scale",
-            "CHECK: found from the model's inertias; better give gear ratio times torque constant.",
+            "CHECK: found from the model's inertias, or from other joints if no load shows it; "
+            "better give gear ratio times torque constant.",
         )
 
     def _of_type(self, msgtype: str) -> list[Topic]:
