@@ -319,9 +319,9 @@ def _parts(rows: Sequence[FastRows]) -> Iterator[FastRows]:
 def _fast_rows(solver: Solver, dataset: Dataset) -> Iterator[FastRows]:
     """Yield the rows of blocks with fast motion, at equal distances."""
     problem, segments = solver.problem, dataset.segments
-    model = problem.parameters.model
+    model, stamp = problem.parameters.model, dataset.samples.stamp
     if (
-        not (model.floating and model.joints)
+        not (model.floating and model.joints and len(stamp))
         or model.contacts is not None
         or model.wrist_sensors
         or problem.sensor_names
@@ -331,7 +331,6 @@ def _fast_rows(solver: Solver, dataset: Dataset) -> Iterator[FastRows]:
         return
     parameters = replace(problem.parameters, candidates=False)
     used = ~_have_dry_friction(problem)
-    stamp = dataset.samples.stamp
     blocks = len(stamp) * float(np.median(np.diff(stamp, prepend=stamp[0] - BLOCK))) / BLOCK
     index = 0
     for segment in segments:
