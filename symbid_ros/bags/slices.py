@@ -190,7 +190,7 @@ class _Slicer:
             return 0
         if min(heads) >= WALL_CLOCK:
             raise DataError(
-                f"{self._name}: stamps begin {back * 1e-9:.3f} s before those of another bag end; "
+                f"{self._name}: its stamps begin {back * 1e-9:.3f} s before another bag ends; "
                 "leave copies out, or identify one, and give its `information` with the other",
                 "E530",
             )

@@ -327,7 +327,7 @@ class OnlineIdentification:
         if (settled := self._monitor.settled) is None:
             return
         problem = self._problem_with(self._accumulator.blocks)
-        if self._parameters.candidates and problem.observations:
+        if problem.observations:
             problem = self._terms.with_prior(problem, self._accumulator.blocks.count)
         self._problem = self._changed.restarted(self._problem, settled, problem.prior)
         until = self._until

@@ -13,7 +13,8 @@ from symbid_ros.errors import DataError
 logger = logging.getLogger("symbid_ros.bags")
 
 CLOCK_JUMP = 1_000_000_000  # ns; messages overtake one another by milliseconds only
-LARGEST = 1e9  # in any unit; larger numbers are no readings, but memory or a file that is damaged
+# Larger numbers, in any unit, are not readings. Damaged files hold such numbers.
+LARGEST = 1e9
 ALWAYS = (-(2**62), 2**62)  # ns; beyond every clock, with room for margins
 
 
@@ -22,7 +23,7 @@ class Defect(Enum):
 
     DISORDER = "are out of order and were sorted"
     DUPLICATE = "repeat a stamp and were dropped"
-    NOT_FINITE = "have no finite {} and were dropped"
+    NOT_FINITE = "have no usable {} and were dropped"
     UNKNOWN_JOINT = "name joints that most messages do not and were dropped"
     REORDERED_JOINTS = "name their joints in a different order and were reordered"
     OTHER_JOINTS = "name only other joints and were dropped"

@@ -29,5 +29,5 @@ def test_a_warning_names_each_field_once(caplog) -> None:
     with caplog.at_level(logging.WARNING):
         counts.report()
     (record,) = caplog.records
-    text = "log: /imu: 3 of 4 messages have no finite force, torque, effort and were dropped"
+    text = "log: /imu: 3 of 4 messages have no usable force, torque, effort and were dropped"
     assert record.getMessage() == text
