@@ -174,8 +174,8 @@ def _run_with_executor(node: Node, work: Callable[[], None], stop: threading.Eve
         end.set_result(None)
         spinner.join()
         executor.shutdown()
-    for failure in failures:
-        raise failure
+        if failures:  # it stopped the work, whose own error would hide the reason
+            raise failures[0]
 
 
 def _is_argument_error(error: Exception) -> bool:
@@ -226,7 +226,11 @@ class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
         return self._guarded(work, "message", "publisher", str(subscription.topic_name))
 
     def _take_service(self, service: Service) -> Callback | None:
-        work = super()._take_service(service)
+        try:
+            work = super()._take_service(service)
+        except Exception as error:  # a length in the bytes can ask for more memory than there is
+            self._drop("request", "client", str(service.service_name), error)
+            return None
         if work is None:
             return None
         return self._guarded(work, "request", "client", str(service.service_name))
@@ -238,15 +242,18 @@ class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
             try:
                 await work()
             except Exception as error:
-                self.dropped[name] += 1
-                for node in self.get_nodes():
-                    node.get_logger().warning(
-                        f"{name}: {kind} dropped ({self.dropped[name]} so far): {error}; "
-                        f"check the {sender}",
-                        throttle_duration_sec=WARNING_PERIOD,
-                    )
+                self._drop(kind, sender, name, error)
 
         return guarded
+
+    def _drop(self, kind: str, sender: str, name: str, error: Exception) -> None:
+        self.dropped[name] += 1
+        for node in self.get_nodes():
+            node.get_logger().warning(
+                f"{name}: {kind} dropped ({self.dropped[name]} so far): "
+                f"{str(error) or type(error).__name__}; check the {sender}",
+                throttle_duration_sec=WARNING_PERIOD,
+            )
 
 
 def _decode(payload: bytes, kind: type[Any]) -> Any:

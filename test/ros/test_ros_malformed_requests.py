@@ -30,9 +30,15 @@ OWN_SERVICES = {
 def malformed() -> list[bytes]:
     """Return truncated requests, and requests with values outside the range of their type.
 
-    Larger words would be lengths of sequences, for which the middleware allocates the memory.
+    Larger words would be lengths of sequences, for which the middleware allocates the memory. In
+    shorter requests it reads such lengths from arbitrary bytes, because its buffer has at least
+    200 bytes (rmw_fastrtps, Fast CDR).
     """
-    return [struct.pack("<3I", *3 * [word])[:size] for word in (0, 1, 7) for size in (0, 1, 6, 12)]
+    return [
+        struct.pack("<64I", *64 * [word])[:size]
+        for word in (0, 1, 2, 7)
+        for size in (200, 228, 256)
+    ]
 
 
 def flood(graph, kind: type[Any], service: str) -> None:

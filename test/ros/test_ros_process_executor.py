@@ -10,6 +10,7 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
@@ -97,3 +98,17 @@ def test_a_request_with_an_unknown_value_type_is_dropped(spun, kind) -> None:
     assert "undeclared" in str(answered.result())
     assert not unanswered.done()
     assert executor.dropped == {f"/reader/{service[kind]}": 1}
+
+
+def test_a_request_that_asks_for_too_much_memory_is_dropped(
+    spun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node, executor = spun
+    service = node.create_service(SetParameters, "large", lambda _, response: response)
+
+    def take(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(SingleThreadedExecutor, "_take_service", take)
+    assert executor._take_service(service) is None
+    assert executor.dropped == {"/large": 1}
