@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from symbid_ros.bags.container.files import join_names
+from symbid_ros.bags.container.schema_registry import DECODED_TYPES
 from symbid_ros.bags.info import BagInfo, bag_info
 from symbid_ros.errors import BagError
 
@@ -21,11 +22,11 @@ class _Recording:
     def is_continued_by(self, bag: BagInfo, start: int) -> bool:
         """Return whether a bag that begins at ``start`` is a part of this recording.
 
-        Bags of the same time hold the topics of several recorders, if no bag has those of another.
+        Bags of the same time were written by several recorders if their sensors differ. Otherwise
+        their clocks began alike, such as those of simulations.
         """
-        topics = {topic.name for topic in bag.topics if topic.count}
         if start < self.end - LONGEST_BREAK:
-            return topics != self.topics
+            return _sensor_topics(bag) != self.topics
         return start <= self.end + LONGEST_BREAK
 
 
@@ -58,5 +59,10 @@ def separate_recordings(bags: Sequence[Path]) -> list[tuple[Path, ...]]:
         current = recordings[-1]
         current.bags.append(info.bag)
         current.end = max(current.end, info.end)
-        current.topics |= {topic.name for topic in info.topics if topic.count}
+        current.topics |= _sensor_topics(info)
     return [tuple(one.bags) for one in recordings]
+
+
+def _sensor_topics(bag: BagInfo) -> set[str]:
+    """Return the topics with messages of sensors; others, such as /tf, may come and go."""
+    return {one.name for one in bag.topics if one.count and one.msgtype in DECODED_TYPES}

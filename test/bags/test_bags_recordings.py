@@ -36,6 +36,8 @@ def write(tmp_path: Path):
                 messages.append(("/joint_states", JOINT_STATE, message))
             if topics != "joints":
                 messages.append(("/imu/data", IMU, imu(stamp)))
+            if topics == "events too":
+                messages.append(("/log", "std_msgs/msg/String", b"\0\1\0\0\5\0\0\0text\0"))
             times += [stamp] * (len(messages) - len(times))
         return write_rosbags(tmp_path / name, messages, times=times)
 
@@ -54,6 +56,11 @@ def test_a_split_recording_and_topics_recorded_side_by_side_are_one(write) -> No
     assert separate_recordings([next_one, first]) == [(first, next_one)]
     joints, gyro = write("c", YEAR_2026, "joints"), write("d", YEAR_2026, "imu")
     assert separate_recordings([joints, gyro]) == [(joints, gyro)]
+
+
+def test_recordings_of_equal_clocks_may_differ_in_topics_of_no_sensor(write) -> None:
+    first, other = write("a", 0.0), write("b", 0.0, "events too")
+    assert separate_recordings([first, other]) == [(first,), (other,)]
 
 
 def test_a_bag_that_is_named_twice_is_refused(write, tmp_path: Path) -> None:
