@@ -250,6 +250,7 @@ def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
         lines.append(f"{known} of {len(verdict.sensors)} sensor errors determined")
     if gains := verdict.describe_drive_gains():
         lines.append(Text(gains))
+    lines += [Text(place) for place in verdict.describe_payload_places()]
     if drift := verdict.describe_drift():
         lines.append(Text(drift))
     if verdict.unexplained:

@@ -145,6 +145,15 @@ class Verdict:
         ]
         return f"drive gains: {', '.join(gains)}" if gains else ""
 
+    def describe_payload_places(self) -> tuple[str, ...]:
+        """Return the places of payloads that were not given, a line each."""
+        places: dict[str, list[str]] = {}
+        for one in self.sensors:
+            name, _, kind = one.name.rpartition("/")
+            if kind.startswith("payload_place"):
+                places.setdefault(name, []).append(f"{1e3 * one.value:.1f} ± {1e3 * one.std:.2g}")
+        return tuple(f"payload {name} at ({', '.join(at)}) mm" for name, at in places.items())
+
     def describe_mass_scale(self) -> str:
         """Return what the data cannot check about the masses; empty with a weighing.
 

@@ -27,7 +27,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.segments import Segment, stamp_spans
 from symbid_ros.signals.sensor_drift import SensorDrift
-from symbid_ros.signals.sensor_errors import COMPLIANCE, DRIVE_GAIN, SensorErrors
+from symbid_ros.signals.sensor_errors import COMPLIANCE, DRIVE_GAIN, PLACE, SensorErrors
 from symbid_ros.signals.weak_form import (
     ACCELERATION,
     ALL_WINDOWS,
@@ -38,6 +38,8 @@ from symbid_ros.signals.weak_form import (
 
 # The first pass is linearised about the prior; then Gauss-Newton.
 PASSES = 3
+# An unknown place of a payload multiplies unknown gains, and begins at the origin of its frame.
+PASSES_WITH_PLACES = 8
 # Relative deviation of the common scale of drive gains from which a log leaves it open, if the
 # deviations of the links are this many times wider.
 OPEN_SCALE, WIDE = 0.1, 30.0
@@ -142,7 +144,10 @@ class ExtendedProblem:
         """
         parameters = problem.parameters
         gained = () if request.factors is None else request.factors.joints
-        errors = SensorErrors.of(request.kinds, parameters.model, wrench_frames, imu_frames, gained)
+        sensors = wrench_frames, imu_frames, gained
+        errors = SensorErrors.of(
+            request.kinds, parameters.model, *sensors, payloads=parameters.unplaced
+        )
         mean, std = _prior_errors(errors, request, measured)
         layout = error_layout(parameters, errors)
         extended = replace(
@@ -256,8 +261,9 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     spans = stamp_spans(dataset.segments)
     possible = SensorDrift.possible(errors, spans[0][0], spans[-1][1])
     is_empirical = problem.is_empirical and request.factors is not None
-    for turn in range(1, PASSES):
-        is_last = turn == PASSES - 1
+    passes = PASSES_WITH_PLACES if PLACE in errors.kinds else PASSES
+    for turn in range(1, passes):
+        is_last = turn == passes - 1
         wide = extended
         if is_last and possible is not None:
             wide = extended.with_drift(possible)

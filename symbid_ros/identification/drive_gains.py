@@ -153,6 +153,9 @@ def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:
             velocity = samples.velocity
             columns = [needed, velocity, coulomb_column(velocity), np.ones_like(needed)]
             valid: BoolArray = np.isfinite(measured)
+            for payload in bare.payloads:
+                if payload.frame is not None:  # the torque that it needs is not known yet
+                    valid &= ~payload.is_carried(samples.stamp)[:, None]
             yield SampledRows(
                 samples.stamp, Rows(np.stack(columns, axis=2), np.nan_to_num(measured)), valid
             )

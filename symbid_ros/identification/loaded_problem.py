@@ -76,7 +76,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload, with_payloads
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.sensor_errors import COMPLIANCE, DRIVE_GAIN
+from symbid_ros.signals.sensor_errors import COMPLIANCE, DRIVE_GAIN, PLACE
 
 # Reads and checks a log on other machines, for the parameters and their prior.
 LogReader = Callable[[IdentifyOptions, ParameterSet, Prior], tuple[Dataset, LogChecks]]
@@ -404,8 +404,9 @@ def _build_solver(
         of_terms = candidate_prior if parameters.candidates else named_term_prior
         prior = of_terms(prior, parameters, dataset.observations[0], scale)
         problem = replace(problem, prior=prior)
-    if options.sensor_error_kinds or factors is not None:
-        kinds = options.sensor_error_kinds + ((DRIVE_GAIN,) if factors is not None else ())
+    kinds: tuple[str, ...] = options.sensor_error_kinds
+    kinds += (DRIVE_GAIN,) * (factors is not None) + (PLACE,) * bool(parameters.unplaced)
+    if kinds:
         # What the user recorded for the purpose counts more than times in the air.
         request = SensorErrorRequest(kinds, {**checks.tares, **tares}, checks.mountings, factors)
         problem = calibrate(problem, dataset, request)

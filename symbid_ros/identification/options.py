@@ -132,7 +132,7 @@ class IdentifyOptions(ContactOptions):
         (),
         "Known payload LINK,MASS,X,Y,Z (kg; m in the link's axes) that the robot carries, such as "
         "tool0,2.5,0,0,0.06; with BAG: before it, in a further bag that is identified together "
-        "with the others.",
+        "with the others. Without X,Y,Z its place is identified too.",
         group=KNOWN,
         metavar="PAYLOAD",
     )
@@ -303,20 +303,23 @@ class IdentifyOptions(ContactOptions):
                     "`method` wls_rc",
                     "E503",
                 )
-        elif (
-            self.sensor_error_kinds
-            or self.drive_gain
-            or self.total_mass is not None
-            or self.mirror is not None
-        ):
+        elif self.has_further_unknowns or self.total_mass is not None or self.mirror is not None:
             raise OptionError(
-                f"{self.method} supports neither `sensor_errors`, `tare`, `drive_gain`, "
-                "`total_mass` nor `mirror`; use `method` map or map_lmi",
+                f"{self.method} supports neither `sensor_errors`, `tare`, `drive_gain`, `payload` "
+                "without place, `total_mass` nor `mirror`; use `method` map or map_lmi",
                 "E503",
             )
-        if (self.sensor_error_kinds or self.drive_gain) and self.row_filter != "weak":
+        if self.drive_gain and any(one.count(",") == 1 for one in self.payloads):
             raise OptionError(
-                "sensor errors need rows averaged over windows; leave `filter` out", "E503"
+                "`drive_gain` with a `payload` of unknown place needs a bag without payload too: "
+                "give that as the log, and the other as `payload` BAG:LINK,MASS",
+                "E503",
+            )
+        if self.has_further_unknowns and self.row_filter != "weak":
+            raise OptionError(
+                "sensor errors need rows averaged over windows, and so does a `payload` without "
+                "place; leave `filter` out",
+                "E503",
             )
 
     def _rename_deprecated(self) -> None:
@@ -384,6 +387,17 @@ class IdentifyOptions(ContactOptions):
             for one in self.payload
             if not isinstance(one, str) or ":" in one
         )
+
+    @property
+    def has_unplaced_payload(self) -> bool:
+        """Whether the place of a payload is not given."""
+        texts = (*self.payloads, *(text for _, text in self.loaded_logs))
+        return any(text.count(",") == 1 for text in texts)
+
+    @property
+    def has_further_unknowns(self) -> bool:
+        """Whether anything but the robot's parameters is identified from rows linearised in it."""
+        return bool(self.sensor_error_kinds or self.drive_gain or self.has_unplaced_payload)
 
     @property
     def drive_gains(self) -> list[str]:
@@ -468,7 +482,7 @@ class IdentifyOptions(ContactOptions):
     @property
     def _searches(self) -> bool:
         """Whether terms other than candidates are searched for in the log."""
-        added = self.sensor_error_kinds, self.information, self.drive_gain, self.contacts
+        added = self.has_further_unknowns, self.information, self.contacts
         return self.chooses_terms and not any(added)
 
     def _check_contacts(self) -> None:
@@ -476,6 +490,10 @@ class IdentifyOptions(ContactOptions):
             raise OptionError(
                 "`contact` leaves no reading to calibrate; leave `sensor_errors` and `tare` out",
                 "E503",
+            )
+        if self.contacts and self.has_unplaced_payload:
+            raise OptionError(
+                "`contact` needs the place of a `payload`; give LINK,MASS,X,Y,Z", "E503"
             )
         if self.contacts and "load" in self._named_terms:
             raise OptionError(

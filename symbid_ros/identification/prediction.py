@@ -28,7 +28,7 @@ from symbid_ros.signals.log import Log
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows, sampled_rows
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_drift import final_drifts, is_drift
-from symbid_ros.signals.sensor_errors import ALL_KINDS, DRIVE_GAIN, SensorErrors
+from symbid_ros.signals.sensor_errors import ALL_KINDS, DRIVE_GAIN, PLACE, SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base, build_samples
 from symbid_ros.signals.weak_form import check_windows, equation_rows, windowed_rows
 
@@ -271,7 +271,13 @@ class ForcePredictor:
         """Return the sensor errors of a log, and the places of its errors among the unknowns."""
         if not self.sensor_names:
             return None, np.zeros(0, dtype=np.int64)
-        constant = [name for name in self.sensor_names if not is_drift(name)]
+        # Another log need not have the payload of the one that was identified.
+        unplaced = self.parameters.unplaced
+        constant = [
+            name
+            for name in self.sensor_names
+            if not is_drift(name) and (PLACE not in name or name.rpartition("/")[0] in unplaced)
+        ]
         parts = [name.rpartition("/")[2] for name in constant]
         kinds = [kind for kind in ALL_KINDS if any(one.startswith(kind) for one in parts)]
         gained = [name.rpartition("/") for name in constant]
@@ -281,6 +287,7 @@ class ForcePredictor:
             segment.wrench_frames,
             segment.imu_frames,
             tuple(joint for joint, _, kind in gained if kind == DRIVE_GAIN),
+            payloads=unplaced,
         )
         if set(errors.names) != set(constant):
             other = sorted(set(errors.names) ^ set(constant))[0].rpartition("/")[0]

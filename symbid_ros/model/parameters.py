@@ -245,6 +245,11 @@ class ParameterSet:
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    def unplaced(self) -> tuple[str, ...]:
+        """Names of the payloads whose places are unknown, each once."""
+        return tuple(dict.fromkeys(one.name for one in self.payloads if one.frame is not None))
+
     @cached_property
     def load_reference(self) -> FloatArray:
         """(inertial,) parameters of the links from which the joints' load follows."""

@@ -136,6 +136,11 @@ def _check_online(options: IdentifyOptions) -> None:
             "now, without a bag",
             "E503",
         )
+    if options.has_unplaced_payload:
+        raise OptionError(
+            "the place of a `payload` is identified from a complete log; give LINK,MASS,X,Y,Z",
+            "E503",
+        )
     if options.choose_truncation is not None or options.sensor_std is not None:
         raise OptionError(
             "`choose_truncation` and `sensor_std` need a complete log; remove them", "E503"

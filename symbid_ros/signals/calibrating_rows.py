@@ -28,6 +28,7 @@ from symbid_ros.signals.sensor_errors import (
     DRIVE_GAIN,
     FRAME,
     LENGTH,
+    PLACE,
     SensorErrors,
     left_jacobian,
 )
@@ -115,6 +116,9 @@ def error_columns(
                 (moved,) = residuals([theta], seen_by_imus=displaced(model, screws))
                 by_screws[:, :, joint, axis] += (moved - unshifted) / STEP
         errors.fill_placements(C, by_screws, nominal, theta)
+    if PLACE in errors.kinds:
+        K = equation_of_motion(parameters, at_base(errors.corrected(readings, theta), model)).K
+        errors.fill_payloads(C, K, parameters, readings.stamp)
     return C
 
 

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS
 from symbid_ros.dynamics.placements import displaced
 from symbid_ros.model.parameters import ParameterSet
@@ -31,6 +31,7 @@ DEVIATIONS = {
     "joint_axis": (np.radians(0.17),) * 3,
     "frame_pose": (np.radians(0.17),) * 3,  # of wrench sensors; IMUs have that of plate_pose
     "drive_gain": (1.0,),  # relative to the first guess
+    "payload_place": (0.1,) * 3,  # m
 }
 UNITS = {
     "plate_offset": ("Nm",) * 3 + ("N",) * 3,
@@ -46,13 +47,15 @@ UNITS = {
     "joint_axis": ("rad",) * 3,
     "frame_pose": ("rad",) * 3,
     "drive_gain": ("1",),
+    "payload_place": ("m",) * 3,
 }
 DRIVE_GAIN, COMPLIANCE, DELAY = "drive_gain", "compliance", "sensor_delay"
+PLACE = "payload_place"
 LENGTH, AXIS, FRAME = "link_length", "joint_axis", "frame_pose"
 # Owner of the delay of all efforts.
 EFFORTS = "efforts"
 KINDS = SENSOR_ERROR_KINDS
-ALL_KINDS = (*KINDS, DRIVE_GAIN)
+ALL_KINDS = (*KINDS, DRIVE_GAIN, PLACE)
 
 _AXES = {1: ("",), 3: ("_x", "_y", "_z")}
 _PAIRS = {
@@ -78,6 +81,8 @@ class SensorErrors:
         Joints whose torque is measured.
     gained : tuple of str
         Joints whose efforts have an unknown unit: torque = factor × effort.
+    payloads : tuple of str
+        Names of the payloads whose places are unknown.
     """
 
     kinds: tuple[str, ...]
@@ -86,6 +91,7 @@ class SensorErrors:
     joints: tuple[str, ...]
     driven: BoolArray
     gained: tuple[str, ...] = ()
+    payloads: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -95,6 +101,8 @@ class SensorErrors:
         wrench_frames: tuple[str, ...],
         imu_frames: tuple[str, ...],
         gained: tuple[str, ...] = (),
+        *,
+        payloads: tuple[str, ...] = (),
     ) -> "SensorErrors":
         """Return the unknowns of the sensors that a log has."""
         return cls(
@@ -104,6 +112,7 @@ class SensorErrors:
             model.joint_names,
             np.array([joint.effort > 0 for joint in model.joints], dtype=bool),
             gained,
+            payloads,
         )
 
     def _owners(self, kind: str) -> tuple[str, ...]:
@@ -118,7 +127,7 @@ class SensorErrors:
             return (*self.wrench_frames, *self.imu_frames)
         if kind == "torque_gain":
             return tuple(name for name, used in zip(self.joints, self.driven, strict=True) if used)
-        return self.gained if kind == DRIVE_GAIN else self.joints
+        return {DRIVE_GAIN: self.gained, PLACE: self.payloads}.get(kind, self.joints)
 
     def _meaning(self, kind: str, owner: str) -> str:
         """Return the kind whose deviations and units an error has.
@@ -214,7 +223,14 @@ class SensorErrors:
         return affects
 
     def placed(self, parameters: ParameterSet, theta: FloatArray) -> ParameterSet:
-        """Return the parameters of the robot whose joints are displaced by θ (r,)."""
+        """Return the parameters of the robot whose joints and payloads are displaced by θ (r,)."""
+        if PLACE in self.kinds:
+            place = dict(zip(self.payloads, self.of_kind(PLACE, theta), strict=True))
+            moved = [
+                one if one.frame is None else one.moved(place[one.name])
+                for one in parameters.payloads
+            ]
+            parameters = replace(parameters, payloads=tuple(moved))
         screws = np.zeros((len(self.joints), 6))
         screws[:, 3:] = self.of_kind(LENGTH, theta)
         screws[:, :3] = _across_axes(parameters.model, self.of_kind(AXIS, theta))
@@ -244,6 +260,19 @@ class SensorErrors:
             slopes = left_jacobian(turns) @ _axis_complements(model)
             turned = (by_screws[..., None, :3] @ slopes)[..., 0, :]
             columns[:, :, self.places[AXIS]] = turned.reshape(shape)
+
+    def fill_payloads(
+        self, columns: FloatArray, K: FloatArray, placed: ParameterSet, stamp: IntArray
+    ) -> None:
+        """Fill the columns (N, n, r) of payloads' places, from K (N, n, p) of the placed robot."""
+        for payload in placed.payloads:
+            if payload.frame is None:
+                continue
+            first = 10 * int(np.searchsorted(placed.links, payload.link))
+            start = self.places[PLACE].start + 3 * self.payloads.index(payload.name)
+            slope = K[:, :, first : first + 10] @ payload.place_slope()
+            carried = payload.is_carried(stamp)[:, None, None]
+            columns[:, :, start : start + 3] -= carried * slope
 
     def realigned(self, readings: SensorSamples, theta: FloatArray) -> SensorSamples:
         """Return the samples without the delays of θ (r,) relative to the joints' positions."""

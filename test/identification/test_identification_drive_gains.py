@@ -78,6 +78,24 @@ def test_a_known_payload_fixes_the_scale(robot, model, currents):
     assert not any("common scale" in one for one in result.estimate.remarks)
 
 
+def test_a_payload_of_unknown_place_fixes_the_scale(tmp_path, robot, model, currents):
+    mass, place = 1.5, np.array([0.02, -0.1, 0.06])
+    phi = robot.phi.copy()
+    phi[-1] += phi_from_com(mass, place, np.zeros((3, 3)))
+    truth = drives(robot.with_phi(phi), **FRICTION)
+    loaded = log_of(robot.with_phi(phi), truth, gain=FACTORS, seed=1, start=100.0)
+    link = robot.link_names[-1]
+    fields = {"drive_gain": "all", "unchecked": True}
+    result = sy.identify(model, currents, payload=[(loaded, f"{link},{mass}")], **fields)
+    np.testing.assert_allclose(factors(result)[:3], FACTORS, rtol=5e-3)
+    np.testing.assert_allclose(factors(result)[3:], place, atol=2e-3)
+    (line,) = result.estimate.verdict.describe_payload_places()
+    assert line.startswith(f"payload 1.5kg_on_{link} at (")
+    assert result.estimate.holdout.percent_after < 1.0
+    result.save(tmp_path)
+    assert sy.validate(tmp_path, currents).percent_after < 1.0
+
+
 def test_unknown_joints_are_refused(model, currents):
     with pytest.raises(OptionError, match="drive_gain"):
         sy.identify(model, currents, drive_gain="elbow")

@@ -90,3 +90,32 @@ def test_a_live_run_has_one_payload(robot, text):
     assert InitialState.of(robot, sy.IdentifyOptions(payload=text)).problem.parameters.payloads
     with pytest.raises(OptionError, match="payload"):
         InitialState.of(robot, sy.IdentifyOptions(payload=f"bag:{text}"))
+    with pytest.raises(OptionError, match="place"):
+        InitialState.of(robot, sy.IdentifyOptions(payload=f"{robot.link_names[-1]},{MASS}"))
+
+
+def test_a_place_that_is_not_given_is_identified(robot, loaded):
+    text = f"{robot.link_names[-1]},{MASS}"
+    fields = {"unchecked": True, "no_holdout": True}
+    together = sy.identify(
+        robot, log_with(robot), payload=[(log_with(loaded, start=100.0, seed=1), text)], **fields
+    )
+    place = together.estimate.verdict.sensors
+    error = np.array([one.value for one in place]) - PLACE
+    deviation = np.array([one.std for one in place])
+    assert np.all(deviation < 2e-3)
+    assert np.all(np.abs(error) < 4 * deviation)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"method": "ols"},
+        {"filter": "butterworth", "cutoff": 30.0},
+        {"contact": ("tool",)},
+        {"drive_gain": "all"},
+    ],
+)
+def test_an_unknown_place_needs_windows_of_measured_forces(fields):
+    with pytest.raises(OptionError, match="payload"):
+        sy.IdentifyOptions(payload="tool0,2.5", **fields)
