@@ -152,7 +152,11 @@ class Verdict:
             name, _, kind = one.name.rpartition("/")
             if kind.startswith("payload_place"):
                 places.setdefault(name, []).append(f"{1e3 * one.value:.1f} ± {1e3 * one.std:.2g}")
-        return tuple(f"payload {name} at ({', '.join(at)}) mm" for name, at in places.items())
+        named = ((*name.partition("kg_on_"), at) for name, at in places.items())
+        return tuple(
+            f"payload of {mass} kg on {frame}: centre of mass at ({', '.join(at)}) mm in its axes"
+            for mass, _, frame, at in named
+        )
 
     def describe_mass_scale(self) -> str:
         """Return what the data cannot check about the masses; empty with a weighing.

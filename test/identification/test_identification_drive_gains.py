@@ -90,7 +90,7 @@ def test_a_payload_of_unknown_place_fixes_the_scale(tmp_path, robot, model, curr
     np.testing.assert_allclose(factors(result)[:3], FACTORS, rtol=5e-3)
     np.testing.assert_allclose(factors(result)[3:], place, atol=2e-3)
     (line,) = result.estimate.verdict.describe_payload_places()
-    assert line.startswith(f"payload 1.5kg_on_{link} at (")
+    assert line.startswith(f"payload of 1.5 kg on {link}: centre of mass at (")
     assert result.estimate.holdout.percent_after < 1.0
     result.save(tmp_path)
     assert sy.validate(tmp_path, currents).percent_after < 1.0

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from drive_logs import arm, drives, log_of
+from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
 from symbid_ros.errors import DataError, ModelError, OptionError
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.payload import Payload
+from symbid_ros.model.tree import Frame
 from symbid_ros.online.initial_state import InitialState
 
 MASS, PLACE = 1.5, (0.02, -0.1, 0.2)
@@ -105,6 +107,19 @@ def test_a_place_that_is_not_given_is_identified(robot, loaded):
     deviation = np.array([one.std for one in place])
     assert np.all(deviation < 2e-3)
     assert np.all(np.abs(error) < 4 * deviation)
+
+
+def test_inertia_changes_with_the_place_as_that_of_a_point_mass(robot):
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
+    frame = Frame("tool", len(robot.links) - 1, turn, np.array([0.1, 0.2, -0.3]))
+    payload = Payload(frame.link, np.array([MASS, *np.zeros(9)]), frame=frame).moved(
+        np.array(PLACE)
+    )
+    com = turn @ PLACE + frame.translation
+    for axis, slope in zip(turn.T, payload.place_slope().T, strict=True):
+        inertia = 2 * com @ axis * np.eye(3) - np.outer(com, axis) - np.outer(axis, com)
+        moments = inertia[np.triu_indices(3)]
+        np.testing.assert_allclose(slope, MASS * np.array([0.0, *axis, *moments]), atol=1e-12)
 
 
 @pytest.mark.parametrize(
