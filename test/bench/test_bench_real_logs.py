@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import drive_gains
 import further_data
 import least_squares
 import numpy as np
@@ -344,9 +345,9 @@ REAL = os.environ.get("SYMBID_REAL_LOGS")
 PAGE = (ROOT / "docs/real-logs.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", REAL_DATA)
-def test_the_page_names_the_content_of_each_input(name) -> None:
-    for path, digest in REAL_DATA[name].files.items():
+@pytest.mark.parametrize("data", [*REAL_DATA.values(), drive_gains.DATA], ids=lambda one: one.title)
+def test_the_page_names_the_content_of_each_input(data) -> None:
+    for path, digest in data.files.items():
         assert len(digest) == 64
         assert re.search(rf"`{re.escape(Path(path).name)}`\s{digest[:16]}[,.]", PAGE)
 
