@@ -12,7 +12,7 @@ import logging
 from pathlib import Path
 
 import numpy as np
-from real_data import MissingDataError, RealData, Recording, sha256, to_log, ur10e
+from real_data import MissingDataError, RealData, Recording, to_log, ur10e
 from threadpoolctl import threadpool_limits
 
 import symbid_ros as sy
@@ -46,11 +46,7 @@ def main() -> None:
         files = DATA.find(parser.parse_args().data)
     except MissingDataError as error:
         raise SystemExit(str(error)) from None
-    print(f"{DATA.title}\n{DATA.source} ({DATA.licence})\n{DATA.note}")
-    for path, expected in zip(files, DATA.files.values(), strict=True):
-        found = sha256(path)
-        note = "" if found == expected else ", other content than that of docs/real-logs.md"
-        print(f"  {path.name}  sha256 {found}{note}")
+    print(DATA.describe(files))
     threadpool_limits(1)
     logging.disable(logging.WARNING)
     robot = sy.load_model(files[-1], base="fixed")

@@ -149,6 +149,15 @@ class RealData:
             )
         return found
 
+    def describe(self, files: Sequence[Path]) -> str:
+        """Return where the data come from and what the files hold."""
+        lines = [self.title, f"{self.source} ({self.licence})"]
+        for path, expected in zip(files, self.files.values(), strict=True):
+            found = sha256(path)
+            note = "" if found == expected else ", other content than that of docs/real-logs.md"
+            lines.append(f"  {path.name}  sha256 {found}{note}")
+        return "\n".join([*lines, f"  {self.note}"])
+
 
 def sha256(path: Path) -> str:
     files = [path] if path.is_file() else sorted(path.glob("*/*.txt"))

@@ -22,7 +22,7 @@ import numpy as np
 import yaml
 from further_data import FURTHER_DATA
 from least_squares import Sampled, Score, columns, sample, score, solve
-from real_data import REAL_DATA, FloatArray, MissingDataError, RealLog, sha256, to_log, write_files
+from real_data import REAL_DATA, FloatArray, MissingDataError, RealLog, to_log, write_files
 from threadpoolctl import threadpool_limits
 
 import symbid_ros as sy
@@ -55,12 +55,7 @@ def main() -> None:
         files = data.find(asked.data)
     except MissingDataError as error:
         raise SystemExit(str(error)) from None
-    print(f"{data.title}\n{data.source} ({data.licence})")
-    for path, expected in zip(files, data.files.values(), strict=True):
-        found = sha256(path)
-        note = "" if found == expected else ", other content than that of docs/real-logs.md"
-        print(f"  {path.name}  sha256 {found}{note}")
-    print(f"  {data.note}")
+    print(data.describe(files))
     options = dict(each.split("=", 1) for each in asked.option)
     given = {name: yaml.safe_load(value) for name, value in options.items()}
     log = data.convert(files)

@@ -309,7 +309,7 @@ class IdentifyOptions(ContactOptions):
                 "without place, `total_mass` nor `mirror`; use `method` map or map_lmi",
                 "E503",
             )
-        if self.drive_gain and any(one.count(",") == 1 for one in self.payloads):
+        if self.drive_gain and any(map(_lacks_place, self.payloads)):
             raise OptionError(
                 "`drive_gain` with a `payload` of unknown place needs a bag without payload too: "
                 "give that as the log, and the other as `payload` BAG:LINK,MASS",
@@ -392,7 +392,7 @@ class IdentifyOptions(ContactOptions):
     def has_unplaced_payload(self) -> bool:
         """Whether the place of a payload is not given."""
         texts = (*self.payloads, *(text for _, text in self.loaded_logs))
-        return any(text.count(",") == 1 for text in texts)
+        return any(map(_lacks_place, texts))
 
     @property
     def has_further_unknowns(self) -> bool:
@@ -590,3 +590,8 @@ class IdentifyOptions(ContactOptions):
             raise OptionError(
                 f"{self.row_filter} has no `full_rate`; leave it out, or use `filter` weak", "E503"
             )
+
+
+def _lacks_place(payload: str) -> bool:
+    """Return whether a payload is given as LINK,MASS."""
+    return payload.count(",") == 1
