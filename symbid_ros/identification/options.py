@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from symbid_ros.choices import (
     GAUSSIAN,
-    KINEMATIC_ERRORS,
     SENSOR_ERROR_KINDS,
     SPRING,
     TERMS,
@@ -22,6 +21,7 @@ from symbid_ros.choices import (
 )
 from symbid_ros.errors import OptionError
 from symbid_ros.identification.contact_options import ContactOptions, names
+from symbid_ros.identification.option_checks import check_options
 from symbid_ros.options import option
 
 if TYPE_CHECKING:
@@ -276,51 +276,7 @@ class IdentifyOptions(ContactOptions):
         """Check for options that contradict each other or have no effect with this method."""
         super().__post_init__()
         self._rename_deprecated()
-        self._check_rows()
-        self._check_joint_terms()
-        self._check_sensor_errors()
-        self._check_contacts()
-        sources = self.prior, self.prior_percent, self.prior_absolute
-        if sum(source is not None for source in sources) + self.keep_prior > 1:
-            raise OptionError(
-                "give only one of `prior`, `prior_percent`, `prior_absolute` and `keep_prior`",
-                "E502",
-            )
-        if self.total_mass_std is not None and self.total_mass is None:
-            raise OptionError(
-                "`total_mass_std` has no effect without `total_mass`; give both", "E503"
-            )
-        if self.rank is not None and self.choose_truncation is not None:
-            raise OptionError(
-                "`rank` and `choose_truncation` both choose the singular values; give one", "E502"
-            )
-        if self.method in GAUSSIAN:
-            unused = self.rank, self.choose_truncation, self.sensor_std
-            if any(one is not None for one in unused):
-                raise OptionError(
-                    f"{self.method} truncates no singular values and weights rows by their "
-                    "residuals; leave `rank`, `choose_truncation` and `sensor_std` out, or use "
-                    "`method` wls_rc",
-                    "E503",
-                )
-        elif self.has_further_unknowns or self.total_mass is not None or self.mirror is not None:
-            raise OptionError(
-                f"{self.method} supports neither `sensor_errors`, `tare`, `drive_gain`, `payload` "
-                "without place, `total_mass` nor `mirror`; use `method` map or map_lmi",
-                "E503",
-            )
-        if self.drive_gain and any(map(_lacks_place, self.payloads)):
-            raise OptionError(
-                "`drive_gain` with a `payload` of unknown place needs a bag without payload too: "
-                "give that as the log, and the other as `payload` BAG:LINK,MASS",
-                "E503",
-            )
-        if self.has_further_unknowns and self.row_filter != "weak":
-            raise OptionError(
-                "sensor errors need rows averaged over windows, and so does a `payload` without "
-                "place; leave `filter` out",
-                "E503",
-            )
+        check_options(self)
 
     def _rename_deprecated(self) -> None:
         """Move the value of `validate` to `choose_truncation`, its new name."""
@@ -342,21 +298,20 @@ class IdentifyOptions(ContactOptions):
             # Friction that depends on the load needs the wrenches of contacts.
             left_out = {SPRING} | ({"load"} if self.contacts else set())
             return tuple(term for term in TERMS if term not in left_out)
-        named = set(self._named_terms) | {
-            term for flag, terms in FLAGS.items() if getattr(self, flag) for term in terms
-        }
+        named = set(self.named_terms) | {term for flag in self.named_flags for term in FLAGS[flag]}
         return tuple(term for term in TERMS if term in named)
 
     @cached_property
     def chooses_terms(self) -> bool:
         """Whether the data choose the terms of each joint."""
-        if self._named_terms or any(getattr(self, flag) for flag in FLAGS):
-            return self._named_terms == ["auto"]
+        if self.named_terms or self.named_flags:
+            return self.named_terms == ["auto"]
         # Only rows averaged over windows and weighed against a prior can be compared.
         return self.method in GAUSSIAN and self.row_filter == "weak"
 
     @property
-    def _named_terms(self) -> list[str]:
+    def named_terms(self) -> list[str]:
+        """The terms of `joint_terms`, or auto or none."""
         return names(self.joint_terms)
 
     @cached_property
@@ -389,10 +344,15 @@ class IdentifyOptions(ContactOptions):
         )
 
     @property
+    def has_unplaced_payload_in_log(self) -> bool:
+        """Whether the place of a payload in the log itself is not given."""
+        return any(map(_lacks_place, self.payloads))
+
+    @property
     def has_unplaced_payload(self) -> bool:
         """Whether the place of a payload is not given."""
-        texts = (*self.payloads, *(text for _, text in self.loaded_logs))
-        return any(map(_lacks_place, texts))
+        further = any(_lacks_place(text) for _, text in self.loaded_logs)
+        return further or self.has_unplaced_payload_in_log
 
     @property
     def has_further_unknowns(self) -> bool:
@@ -413,46 +373,6 @@ class IdentifyOptions(ContactOptions):
     def ripples(self) -> list[str]:
         """The named ripples, a joint and its periods in a turn each."""
         return names(self.ripple)
-
-    def _check_joint_terms(self) -> None:
-        for name in self._named_terms:
-            if name not in ("auto", "none", *TERMS):
-                raise OptionError(
-                    f"`joint_terms`: {name!r} is not known; give auto, none or any of "
-                    f"{', '.join(TERMS)}",
-                    "E501",
-                )
-        for name in ("auto", "none"):
-            others = [flag for flag in FLAGS if getattr(self, flag)]
-            others += [one for one in self._named_terms if one != name]
-            if name in self._named_terms and others:
-                raise OptionError(
-                    f"`joint_terms` {name} contradicts {others[0]}; give one of them", "E502"
-                )
-        if (
-            self.effort_sides == {"": "link"}
-            and not self.chooses_terms
-            and "armature" in self.terms
-        ):
-            raise OptionError(
-                "efforts on the link's side contain no armature; leave armature or `effort_side` "
-                "out",
-                "E502",
-            )
-        if self.couplings and not set(self.terms) - {"offset"}:
-            raise OptionError(
-                "`coupling` needs joint terms that act on it; leave `joint_terms` out, or name "
-                "viscous, coulomb, armature or stribeck",
-                "E503",
-            )
-        if self._named_terms == ["auto"] and not (
-            self.method in GAUSSIAN and self.row_filter == "weak"
-        ):
-            raise OptionError(
-                "`joint_terms` auto needs `method` map or map_lmi and rows averaged over windows; "
-                "name the terms",
-                "E503",
-            )
 
     @property
     def finds_couplings(self) -> bool:
@@ -477,7 +397,7 @@ class IdentifyOptions(ContactOptions):
     @property
     def finds_compliance(self) -> bool:
         """Whether elasticity of joints is searched for in the log."""
-        return not self._named_sensor_errors and self._searches
+        return not self.named_sensor_errors and self._searches
 
     @property
     def _searches(self) -> bool:
@@ -485,27 +405,10 @@ class IdentifyOptions(ContactOptions):
         added = self.has_further_unknowns, self.information, self.contacts
         return self.chooses_terms and not any(added)
 
-    def _check_contacts(self) -> None:
-        if self.contacts and self.sensor_error_kinds:
-            raise OptionError(
-                "`contact` leaves no reading to calibrate; leave `sensor_errors` and `tare` out",
-                "E503",
-            )
-        if self.contacts and self.has_unplaced_payload:
-            raise OptionError(
-                "`contact` needs the place of a `payload`; give LINK,MASS,X,Y,Z", "E503"
-            )
-        if self.contacts and "load" in self._named_terms:
-            raise OptionError(
-                "`joint_terms` load needs the wrenches of contacts, which `contact` eliminates; "
-                "name other terms",
-                "E503",
-            )
-
     @cached_property
     def sensor_error_kinds(self) -> tuple[SensorErrorKind, ...]:
         """Kinds of sensor errors to identify: those named, or all if there is a tare."""
-        named = set(self._named_sensor_errors)
+        named = set(self.named_sensor_errors)
         if not named and self.tare:
             named = {"typical"}
         if "typical" in named:
@@ -513,26 +416,14 @@ class IdentifyOptions(ContactOptions):
         return tuple(kind for kind in SENSOR_ERROR_KINDS if kind in named)
 
     @property
-    def _named_sensor_errors(self) -> list[str]:
-        return names(self.sensor_errors)
+    def named_flags(self) -> list[str]:
+        """The options of earlier versions that name terms."""
+        return [flag for flag in FLAGS if getattr(self, flag)]
 
-    def _check_sensor_errors(self) -> None:
-        if self.export_kinematics and set(KINEMATIC_ERRORS).isdisjoint(self.sensor_error_kinds):
-            raise OptionError(
-                "`export_kinematics` needs joint placements to export; add link_length or "
-                "joint_axis to `sensor_errors`",
-                "E503",
-            )
-        known = "typical", "none", *SENSOR_ERROR_KINDS
-        if self.sensor_errors and not self._named_sensor_errors:
-            raise OptionError(f"`sensor_errors` is empty; give {' or '.join(known)}", "E501")
-        for name in self._named_sensor_errors:
-            if name not in known:
-                raise OptionError(
-                    f"`sensor_errors`: {name!r} is not known; give typical, none or any of "
-                    f"{', '.join(SENSOR_ERROR_KINDS)}",
-                    "E501",
-                )
+    @property
+    def named_sensor_errors(self) -> list[str]:
+        """The kinds of `sensor_errors`, or typical or none."""
+        return names(self.sensor_errors)
 
     @property
     def weighing(self) -> tuple[float, float] | None:
@@ -573,23 +464,6 @@ class IdentifyOptions(ContactOptions):
         # The thesis's methods were published with Butterworth-filtered rows.
         wants_butterworth = self.cutoff is not None or self.channels is not None
         return "butterworth" if self.method not in GAUSSIAN and wants_butterworth else "weak"
-
-    def _check_rows(self) -> None:
-        if self.window is not None and self.window <= 0:
-            raise OptionError(f"`window` must be positive, got {self.window:g} s", "E501")
-        if self.row_filter == "butterworth":
-            if self.window is not None:
-                raise OptionError("butterworth has no `window`; give `cutoff` instead", "E503")
-        elif self.cutoff is not None or self.channels is not None:
-            raise OptionError(
-                f"{self.row_filter} has neither `cutoff` nor `channels`; leave them out, or use "
-                "`filter` butterworth",
-                "E503",
-            )
-        if self.full_rate and self.row_filter != "weak":
-            raise OptionError(
-                f"{self.row_filter} has no `full_rate`; leave it out, or use `filter` weak", "E503"
-            )
 
 
 def _lacks_place(payload: str) -> bool:
