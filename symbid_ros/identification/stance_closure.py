@@ -34,18 +34,19 @@ logger = logging.getLogger(__name__)
 PERIOD = 50_000_000  # ns over which positions are averaged
 RESTING_LOAD = 0.1  # share of the weight that a sole at rest carries
 SHORTEST = 40  # poses of a stance
-# Residuals depend on the posture, so that those of this many consecutive poses count as one.
+# Residuals depend on the posture, so that those of this many consecutive poses count as one, and
+# long logs, which repeat their postures, as this many.
 BLOCK = 40
+POSTURES = 25
 # RMS residuals above these, rad and m, mean that soles moved or are points.
 LARGEST = np.repeat([np.radians(0.5), 3e-3], 3)
 # Deviations that are always allowed for, rad and m: soles and floors yield with the posture, which
 # wrong lengths can imitate.
 LEAST = np.repeat([1e-4, 5e-5], 3)
 PASSES = 3  # of the deviations of residuals
-# Decrease of the cost by displaced joints from which these are evident. It is below 10 for right
-# lengths, and several hundred for lengths that are wrong by 1 to 2 mm.
-CONTRADICTION = 50.0
-
+# Decrease of the cost by displaced joints from which these are evident. It is 25 to 50 for right
+# lengths, as soles yield, and 400 to 1000 for lengths that are wrong by 1 to 2 mm.
+CONTRADICTION = 100.0
 
 # Prior deviations of a tracked frame's rotation and position on its link, and of its delay.
 MOUNTING = np.array([*3 * [np.radians(1.0)], *3 * [0.01], 0.01])  # rad, m, s
@@ -185,7 +186,7 @@ def contradicted_geometry(stances: RestingSoles, model: RobotModel) -> str:
         errors = SensorErrors.of(kinds, model, frames, ())
         geometry = _Geometry(errors, model, model, np.zeros(len(errors)))
         pose, slopes = geometry.of_pairs(stances.pairs).linearized(np.zeros(0))
-        std = np.sqrt(BLOCK) * LEAST
+        std = np.sqrt(_repeats(len(pose))) * LEAST
         A, b = (slopes / std[:, None]).reshape(-1, len(errors)), (-pose / std).reshape(-1)
         best = np.linalg.solve(A.T @ A + np.diag(errors.std**-2), A.T @ b)
         left = -pose - slopes @ best
@@ -227,7 +228,8 @@ class _Closures:
         """
         k, at = len(self.others), np.concatenate([np.zeros(len(self.others)), geometry.theta])
         prior = np.concatenate([self.others, geometry.errors.std]) ** -2
-        std = np.sqrt(BLOCK) * LEAST
+        repeats = _repeats(len(self.is_next) + 1)
+        std = np.sqrt(repeats) * LEAST
         for _ in range(PASSES):
             pose, slopes = self.linearized(at[:k])
             targets = slopes @ at - pose
@@ -244,7 +246,7 @@ class _Closures:
             # Consecutive values of white noise are independent.
             white = np.mean(np.diff(left, axis=0)[self.is_next] ** 2, axis=0) / 2
             white = np.minimum(white, size)
-            std = np.sqrt(white + BLOCK * (size - white + LEAST**2))
+            std = np.sqrt(white + repeats * (size - white + LEAST**2))
             at[:k] = best[:k]
         rows = np.concatenate([slopes / std[:, None], (targets / std)[..., None]], axis=2)
         known = np.eye(k, len(at) + 1) / self.others[:, None]
@@ -375,6 +377,11 @@ def _is_next(stances: Sequence[FloatArray]) -> BoolArray:
     starts = np.cumsum([len(one) for one in stances])
     follows: BoolArray = ~np.isin(np.arange(1, starts[-1]), starts)
     return follows
+
+
+def _repeats(count: int) -> float:
+    """Return how many of ``count`` poses count as one."""
+    return max(float(BLOCK), count / POSTURES)
 
 
 def _deviation(turns: Rotation) -> FloatArray:

@@ -111,6 +111,18 @@ def test_resting_soles_contradict_wrong_lengths_but_no_encoder_offsets(parameter
     assert contradicted_geometry(RestingSoles(), model) == ""
 
 
+@pytest.mark.parametrize(("scale", "expected"), [(0.06, False), (1.0, True)])
+def test_postures_that_repeat_are_no_further_evidence(parameters, scale, expected):
+    """Soles that yield by 0.05 mm look like displaced joints, in long logs as in short ones."""
+    errors, rng = errors_of(parameters), np.random.default_rng(1)
+    truth = scale * errors.std * rng.standard_normal(len(errors))
+    position = readings(parameters, errors, truth, 60, rng)
+    for times in (17, 170):
+        stance = Stance(SOLES, np.tile(position, (times, 1)))
+        alarm = contradicted_geometry(RestingSoles((stance,)), parameters.model)
+        assert ("link lengths" in alarm) == expected
+
+
 def tracked(parameters, errors, theta, rng, *, late=0.0, noise=0.0):
     """Return poses of a frame of the base that is neither where nor turned as the model says."""
     time = 0.05 * np.arange(500)
