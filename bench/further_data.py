@@ -1,4 +1,4 @@
-"""Further public logs: three arms, a mobile manipulator, and a robot with legs."""
+"""Further public logs: four arms, a mobile manipulator, and a robot with legs."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -61,6 +61,19 @@ def _recording(bag: Path, names: Sequence[str]) -> Recording:
     order = [joints.names.index(name) for name in names]
     time = 1e-9 * (joints.stamp - joints.stamp[0])
     return Recording(bag.name, time, joints.position[:, order], joints.effort[:, order])
+
+
+def rokae(files: Sequence[Path]) -> RealLog:
+    """Read link-side torques of a Rokae AR5-5 at 50 Hz, which is mounted sideways."""
+    run, urdf = files
+    rows = np.genfromtxt(run, delimiter=",", names=True)
+    position, effort = (
+        np.column_stack([rows[f"{name}{joint}"] for joint in range(7)]) for name in ("q", "tau")
+    )
+    log = Recording("rokae", rows["time"], position, effort)
+    robot = sy.load_model(urdf, base="fixed")
+    found = (1.0, -0.016, -0.013)  # by `symbid identify`
+    return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), cutoff=5.0, gravity=found)
 
 
 def tiago(files: Sequence[Path]) -> RealLog:
@@ -185,6 +198,19 @@ FURTHER_DATA = {
         },
         ur10,
         "The repository publishes no held-out error for this run.",
+    ),
+    "rokae": RealData(
+        "Rokae AR5-5, 7 joints, torque sensors, 50 Hz, 60 s",
+        "https://github.com/FrankJIE09/Dynamics_identification_Frank commit 758dc8d",
+        "no licence stated",
+        {
+            "src/config/dynamics_identification_data_real.csv": ""
+            "1c58c840362a20bc00162f20e6c154dd40bae10e27f9b21bf2abd8b8cc50d578",
+            "scripts/AR5-5_07R-W4C4A2/AR5-5_07R-W4C4A2.urdf": ""
+            "ab27968f2857cba2f736137483f0ac64d28ff521464ed0088b747c8899dcff02",
+        },
+        rokae,
+        "The repository publishes no held-out error.",
     ),
     "tiago": RealData(
         "TIAGo, 7 joints of its arm, motor currents times published constants, 100 Hz, 59 s",

@@ -93,6 +93,8 @@ class RealLog:
         Published torques to be added to those of the model file's inertias.
     contacts : tuple of str
         Frames at which points without sensors touch the ground.
+    gravity : (3,) tuple of float, or None
+        Direction in which gravity acts on the base, if it is not that of the model file.
     """
 
     robot: sy.RobotModel
@@ -103,6 +105,7 @@ class RealLog:
     extra: dict[str, Motion] | None = None
     published: dict[str, Motion] | None = None
     contacts: tuple[str, ...] = ()
+    gravity: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)

@@ -115,6 +115,8 @@ class Option:
         """
         if value is None and self.is_optional:
             return None
+        if hasattr(value, "tolist"):  # an array or scalar of NumPy, which is not imported here
+            value = value.tolist()
         if self.is_sequence or self.length:
             if isinstance(value, str | Path) or not isinstance(value, Sequence):
                 value = (value,)
@@ -190,7 +192,7 @@ def spelled(message: str, spelling: Callable[[str], str]) -> str:
     return re.sub(r"`([a-z][a-z_]*)`", lambda found: spelling(found[1]), message)
 
 
-def robot_file_line(name: str, *values: str) -> str:
+def robot_file_line(name: str, *values: str | float) -> str:
     """Return the line of a robot file that gives an option these values, for error messages."""
     return f"{name}: {json.dumps(values)} in robot.yaml"
 

@@ -8,7 +8,7 @@ import typer
 
 from symbid_ros.cli.flags import LogBaseKind, Robot, with_flags
 from symbid_ros.cli.verbosity import progress_shown, with_verbosity
-from symbid_ros.identification.contact_options import ContactOptions
+from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.messages.log_options import LogOptions
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def doctor(
     ] = None,
     robot: Robot = None,
     base: LogBaseKind = "auto",
-    contacts: ContactOptions,
+    contacts: RobotOptions,
     as_json: Json = False,
 ) -> None:
     """Check whether a log is suitable for identification: each stream, and all against the model.

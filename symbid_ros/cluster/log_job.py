@@ -260,7 +260,7 @@ class ClusterRequest:
         def read(
             options: IdentifyOptions, parameters: ParameterSet, prior: Prior
         ) -> tuple[Dataset, LogChecks]:
-            log = describe_log(bags, robot, files, frames, contacts=options, options=request.log)
+            log = describe_log(bags, robot, files, frames, given=options, options=request.log)
             segments = ClusterSegments(cluster, log, tuple(parts), spans[0][0])
             mean = () if options.unchecked else prior.mean[: len(parameters)].tolist()
             return segments.folded(", ".join(bags), parameters, Processing.of(options), mean)
@@ -273,7 +273,7 @@ class ClusterRequest:
         )
         contacts = request.options
         if robot.floating and not contacts.contacts and not contacts.wrist_sensors:
-            text = describe_log(bags, robot, files, frames, contacts=contacts, options=request.log)
+            text = describe_log(bags, robot, files, frames, given=contacts, options=request.log)
             (found,) = cluster.results([cluster.submit(find_contacts, text)], "finding contacts")
             contacts = naming_contacts(contacts, tuple(found), ", ".join(bags))
         return load_problem(robot, log, contacts, out, read)

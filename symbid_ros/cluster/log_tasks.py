@@ -26,10 +26,10 @@ from symbid_ros.estimation.archive import pack_observations, unpack_observations
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.provenance import digest, list_inputs
 from symbid_ros.identification.assumed_contacts import assumed_contacts
-from symbid_ros.identification.contact_options import ContactOptions
-from symbid_ros.identification.contacts import with_contact_options
+from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.dataset import SPAN, AlignedLog, Processing, fold_dataset
 from symbid_ros.identification.log_checks import check_dataset
+from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.fixed_frames import FixedTransform, with_fixed_frames
@@ -222,7 +222,7 @@ def describe_log(
     files: dict[str, str],
     frames: Sequence[Any],
     *,
-    contacts: ContactOptions,
+    given: RobotOptions,
     options: LogOptions,
 ) -> str:
     """Return a log and the robot's model as JSON, for the workers.
@@ -237,7 +237,7 @@ def describe_log(
         Texts of the model's file, which comes first, and of the files that it includes.
     frames : sequence
         Fixed frames that the bags state, as :func:`describe_bag` returns them.
-    contacts : ContactOptions
+    given : RobotOptions
     options : LogOptions
     """
     content = {
@@ -246,7 +246,7 @@ def describe_log(
         "source": model.source,
         "base": "floating" if model.floating else "fixed",
         "frames": list(frames),
-        "contacts": {one.name: getattr(contacts, one.name) for one in fields(ContactOptions)},
+        "given": {one.name: getattr(given, one.name) for one in fields(RobotOptions)},
         "options": asdict(options),
     }
     return json.dumps(content)
@@ -281,7 +281,7 @@ class _OpenLog:
     Attributes
     ----------
     robot : RobotModel
-        With the contacts and fixed frames of the log.
+        With what the options say of it, and the fixed frames of the log.
     bags : tuple of str
         Paths or URLs.
     options : LogOptions
@@ -305,8 +305,7 @@ class _OpenLog:
         robot = with_fixed_frames(
             replace(robot, source=content["source"]), fixed_frames(content["frames"])
         )
-        contacts = {name: tuple(values) for name, values in content["contacts"].items()}
-        robot = with_contact_options(robot, ContactOptions(**contacts))
+        robot = with_robot_options(robot, RobotOptions(**content["given"]))
         return cls(robot, tuple(content["bags"]), _log_options(json.dumps(content["options"])))
 
     def source(self, part: Part) -> str:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import Enum, IntEnum
 from types import MappingProxyType
 from typing import Any
@@ -52,6 +52,7 @@ class Kind(Enum):
     # Against the model.
     WEIGHT = "weight"
     CONTRADICTION = "contradiction"
+    BASE_MOUNTING = "base_mounting"
     WRENCH_SIGN = "wrench_sign"
     WRENCH_FRAME = "wrench_frame"
     WRENCH_GAIN = "wrench_gain"
@@ -210,6 +211,10 @@ class Diagnosis:
     def severity(self) -> Severity:
         """Severity of the worst finding."""
         return max((one.severity for one in self.findings), default=Severity.CLEAN)
+
+    def with_finding(self, finding: Finding) -> "Diagnosis":
+        """Return the diagnosis with one more finding."""
+        return replace(self, findings=tuple(merged([finding], self.findings)))
 
     def of(self, topic: str) -> tuple[Finding, ...]:
         """Return the findings of one topic; an empty name returns those of all topics together."""

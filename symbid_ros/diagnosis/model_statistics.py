@@ -123,7 +123,7 @@ class ModelStatistics:
             return
         for block in range(int(segment.stamp[0]) // length, int(segment.stamp[-1]) // length + 1):
             self._blocks += 1
-            if not _is_taken(self._blocks):
+            if not is_taken(self._blocks, DENSE):
                 continue
             for part in cut_to([segment], block * length, (block + 1) * length):
                 for (rows,) in windowed_rows(part, self._build, windows, (), shortest=SHORTEST):
@@ -193,10 +193,10 @@ def _downsample(segment: Segment) -> Segment:
     )
 
 
-def _is_taken(block: int) -> bool:
-    """Return whether rows are built from a block, counted from 1."""
-    return _taken_before(block + 1) > _taken_before(block)
+def is_taken(block: int, dense: int) -> bool:
+    """Return whether rows are built from a block, counted from 1: of all of the ``dense`` first."""
+    return _taken_before(block + 1, dense) > _taken_before(block, dense)
 
 
-def _taken_before(block: int) -> int:
-    return block if block <= DENSE else int(DENSE * (1 + math.log(block / DENSE)))
+def _taken_before(block: int, dense: int) -> int:
+    return block if block <= dense else int(dense * (1 + math.log(block / dense)))

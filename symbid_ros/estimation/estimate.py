@@ -149,6 +149,9 @@ class Estimate:
         First and last stamp, ns, of each part of the log during which friction changes.
     contacts : tuple of str
         ``FRAME`` or ``FRAME:point`` of each contact whose wrench was not measured.
+    gravity : (3,) tuple of float, or None
+        Gravity in the axes of a fixed base, m/s²; None for a floating base, and in files of
+        earlier releases.
     provenance : Provenance or None
         Checksums of the inputs, command, options, versions and date; None in files of earlier
         releases and for live estimates that are not saved.
@@ -182,6 +185,7 @@ class Estimate:
     load_reference: dict[str, float] = field(default_factory=dict)
     courses: tuple[Course, ...] = ()
     contacts: tuple[str, ...] = ()
+    gravity: tuple[float, ...] | None = None
     provenance: Provenance | None = None
 
     def parameters_of(self, model: RobotModel) -> ParameterSet:
@@ -330,6 +334,7 @@ class Estimate:
             "load_reference": self.load_reference,
             "changes_ns": [list(one) for one in self.courses],
             "contacts": list(self.contacts),
+            "gravity": None if self.gravity is None else list(self.gravity),
             "provenance": _entry(self.provenance),
         }
         return versioned("estimate", document)
@@ -395,6 +400,7 @@ def load_estimate(path: Path) -> Estimate:
             load_reference=_numbers(document, "load_reference"),
             courses=tuple((int(a), int(b)) for a, b in document.get("changes_ns", ())),
             contacts=tuple(map(str, document.get("contacts", ()))),
+            gravity=_vector(document.get("gravity")),
             provenance=_provenance(document.get("provenance")),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -458,6 +464,15 @@ def _numbers(document: dict[str, Any], name: str) -> dict[str, float]:
     if not np.all(np.isfinite(list(numbers.values()))):
         raise ValueError(f"{name} has a number that is not finite")
     return numbers
+
+
+def _vector(values: Sequence[Any] | None) -> tuple[float, ...] | None:
+    if values is None:
+        return None
+    vector = tuple(float(one) for one in values)
+    if len(vector) != 3 or not np.all(np.isfinite(vector)):
+        raise ValueError("gravity is not a vector of three numbers")
+    return vector
 
 
 def _holdout(document: dict[str, Any] | None) -> HoldOut | None:

@@ -16,17 +16,19 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.identification.assumed_contacts import with_assumed_contacts
-from symbid_ros.identification.contact_options import ContactOptions
-from symbid_ros.identification.contacts import with_contact_options
+from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
+from symbid_ros.identification.contacts import with_gravity, with_robot_options
 from symbid_ros.identification.holdout import identify_with_holdout
 from symbid_ros.identification.loaded_problem import load_information, load_problem
+from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result import LogInformation, Result
+from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
 
-T = TypeVar("T", bound=ContactOptions)
+T = TypeVar("T", bound=RobotOptions)
 
 
 def identify(
@@ -62,12 +64,13 @@ def identify(
     else:
         problem = load_problem(robot, log, options)
         problem, found = identify_with_holdout(problem)
-        options = replace(options, contact=problem.options.contact)
+        found_out = {name: getattr(problem.options, name) for name in ("contact", "gravity")}
+        options = replace(options, **found_out)
     return Result(found.estimate, options, found, problem.parameters)
 
 
 def diagnose(
-    robot: RobotModel | None, log: Log, options: ContactOptions | None = None, **fields: Any
+    robot: RobotModel | None, log: Log, options: RobotOptions | None = None, **fields: Any
 ) -> Diagnosis:
     """Check whether a log can be used to identify a robot, as ``symbid bag doctor`` does.
 
@@ -76,16 +79,24 @@ def diagnose(
     robot : RobotModel or None
         The nominal robot, with inertias within about 25 %; None checks each topic by itself.
     log : Log
-    options : ContactOptions, optional
-        Wrist sensors and contacts, as of an identification.
+    options : RobotOptions, optional
+        Mounting, wrist sensors and contacts, as of an identification.
     **fields
         These options by name instead, such as ``wrist_sensor=("tool0",)``.
     """
-    options = options or _options(ContactOptions, fields)
-    if robot is not None:
-        robot = log.applied_to(robot)
-        robot = with_contact_options(robot, with_assumed_contacts(options, robot, log))
-    return doctor.diagnose(log, robot)
+    options = options or _options(RobotOptions, fields)
+    if robot is None:
+        return doctor.diagnose(log)
+    robot = log.applied_to(robot)
+    options = with_assumed_contacts(options, robot, log)
+    robot = with_robot_options(robot, options)
+    found = None
+    if searches_gravity(options, robot):
+        found = find_gravity(first_segments(log, robot), robot)
+    if found is None:
+        return doctor.diagnose(log, robot)
+    diagnosis = doctor.diagnose(log, with_gravity(robot, found.direction))
+    return diagnosis.with_finding(found.finding(robot.source))
 
 
 def merge(records: Sequence[LogInformation]) -> LogInformation:

@@ -12,16 +12,17 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import LinkPoses, link_poses
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
-from symbid_ros.errors import DataError, ModelError
-from symbid_ros.identification.contact_options import ContactOptions
+from symbid_ros.errors import ModelError
+from symbid_ros.identification.log_reading import first_segments
+from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.tree import Frame, RobotModel
-from symbid_ros.signals.alignment import align_checked, warn_once
+from symbid_ros.signals.alignment import warn_once
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import probed
 from symbid_ros.signals.streams import Streams
 
-Options = TypeVar("Options", bound=ContactOptions)
+Options = TypeVar("Options", bound=RobotOptions)
 
 # Words of the frame of an end that touches the ground; other frames there are those of sensors.
 FOOT_WORDS = re.compile(r"foot|feet|sole|toe|contact|paw|hoof|tip", re.IGNORECASE)
@@ -43,7 +44,7 @@ def with_assumed_contacts(options: Options, robot: RobotModel, log: Log) -> Opti
 
     Parameters
     ----------
-    options : ContactOptions
+    options : RobotOptions
     robot : RobotModel
     log : Log
         Of which the first second is read, or the first minute if there is no wrench sensor.
@@ -99,10 +100,7 @@ def _standing_frames(robot: RobotModel, log: Log) -> tuple[str, ...]:
         return ()
     if streams.flags:
         return tuple(one.frame_id for one in streams.flags)
-    try:
-        return _lowest_ends(robot, align_checked(_first_streams(log, LONG) or streams, robot))
-    except DataError:  # which the identification reports
-        return ()
+    return _lowest_ends(robot, first_segments(log, robot, LONG))
 
 
 def _first_streams(log: Log, span: int) -> Streams | None:

@@ -19,6 +19,7 @@ from symbid_ros.estimation.prior import (
 from symbid_ros.estimation.provenance import InputDigests, Provenance
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.assumed_contacts import with_assumed_contacts
+from symbid_ros.identification.base_gravity import with_found_gravity
 from symbid_ros.identification.calibration import (
     SensorErrorRequest,
     calibrate,
@@ -26,7 +27,7 @@ from symbid_ros.identification.calibration import (
     without_terms,
 )
 from symbid_ros.identification.compliance import shows_compliance
-from symbid_ros.identification.contacts import contact_alarms, with_contact_options
+from symbid_ros.identification.contacts import contact_alarms, with_robot_options
 from symbid_ros.identification.couplings import find_couplings
 from symbid_ros.identification.dataset import (
     Dataset,
@@ -247,8 +248,9 @@ def load_problem(
         dataset, streams = read_log(log, options, parameters, watch)
     else:
         (dataset, checks), streams = read(options, parameters, prior), None
-    if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
-        return load_problem(robot, log, with_reversed(options, wrong, log.source), out, read)
+    corrected = _corrected(options, parameters, dataset)
+    if corrected is not options:
+        return load_problem(robot, log, corrected, out, read)
     if read is None:
         checks = _check(dataset, streams, options, parameters, prior, watch=watch)
     require_rows(dataset, parameters.model)
@@ -285,6 +287,17 @@ def load_problem(
     return LoadedProblem(
         options, inputs, parameters, prior, dataset, solver, validation, tares, checks, digests
     )
+
+
+def _corrected(
+    options: IdentifyOptions, parameters: ParameterSet, dataset: Dataset
+) -> IdentifyOptions:
+    """Return the options as the log says they should be; the same if it contradicts none."""
+    if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
+        return with_reversed(options, wrong, dataset.source)
+    if options.drive_gains:  # signs and units of the efforts are unknown
+        return options
+    return with_found_gravity(options, parameters.model, dataset.segments, dataset.source)
 
 
 def _with_couplings(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
@@ -329,7 +342,7 @@ def load_information(
         When the information is of another robot or other parameters, or an option is invalid or
         needs a log.
     """
-    robot = with_contact_options(robot, options)
+    robot = with_robot_options(robot, options)
     parameters = load_parameters(robot, options)
     if options.chooses_terms:
         columns = columns_of(robot, observations)

@@ -2,13 +2,14 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
-from symbid_ros.errors import DataError
+from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.identification.dataset import (
     AlignedLog,
     ChainedSegments,
@@ -22,10 +23,13 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import reversed_sensor
+from symbid_ros.signals.alignment import warn_once
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
 
 logger = logging.getLogger(__name__)
+
+MINUTE = 60_000_000_000  # ns
 
 
 def read_log(
@@ -40,6 +44,17 @@ def read_log(
     """
     checks = None if options.unchecked else StreamChecks(parameters.model)
     return read_dataset(log, parameters, Processing.of(options), checks, watch), checks
+
+
+def first_segments(log: Log, robot: RobotModel, span: int = MINUTE) -> tuple[Segment, ...]:
+    """Return the segments of the first ``span`` ns of a log; none if it is faulty."""
+    found: list[Segment] = []
+    with suppress(SymbidError), warn_once(muted=True):  # the checks report errors
+        for segment in AlignedLog(log, robot, span=span):
+            found.append(segment)
+            if segment.stamp[-1] - found[0].stamp[0] > span:
+                break
+    return tuple(found)
 
 
 def open_logs(sources: tuple[Source, ...], log: Log) -> list[Log]:

@@ -20,8 +20,8 @@ from symbid_ros.choices import (
     Term,
 )
 from symbid_ros.errors import OptionError
-from symbid_ros.identification.contact_options import ContactOptions, names
 from symbid_ros.identification.option_checks import check_options
+from symbid_ros.identification.robot_options import RobotOptions, names
 from symbid_ros.options import option
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ WEIGHING_STD = 0.05  # kg; what a good floor scale does
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifyOptions(ContactOptions):
+class IdentifyOptions(RobotOptions):
     """Options of an identification; the defaults suit most logs.
 
     Raises

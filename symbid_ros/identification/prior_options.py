@@ -18,7 +18,7 @@ from symbid_ros.estimation.prior import (
     load_prior,
     model_prior,
 )
-from symbid_ros.identification.contacts import with_contact_options
+from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.stored_information import columns_of
 from symbid_ros.model.coupling import Coupling
@@ -35,7 +35,7 @@ CONTRADICTION = 6.0
 
 def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet:
     """Return the columns of the data, and warn about known joint terms of the model file."""
-    robot = with_contact_options(robot, options)
+    robot = with_robot_options(robot, options)
     if options.chooses_terms and options.information is not None:
         parameters = columns_of(robot, load_archive(options.information))
     else:

@@ -316,6 +316,8 @@ def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
         return EstimatedModel(parameters, load_prior(file, parameters).mean)
     estimate = load_estimate(file)
     model = with_wrist_sensors(model, estimate.wrist_sensors)
+    if estimate.gravity is not None and not model.floating:
+        model = replace(model, gravity=np.array(estimate.gravity))
     # The model may be the true robot, with friction that the estimate does not have.
     parameters = estimate.parameters_of(model)
     if set(parameters.names) != set(estimate.names):

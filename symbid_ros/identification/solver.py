@@ -411,6 +411,7 @@ class Solver:
             load_reference=_load_reference(parameters),
             courses=tuple(one for one in parameters.courses if one[0] >= 0),  # of this log
             contacts=() if contacts is None else contacts.names,
+            gravity=None if parameters.model.floating else tuple(parameters.model.gravity.tolist()),
         )
 
     def _term_remarks(self) -> tuple[str, ...]:

@@ -17,15 +17,17 @@ from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
 from symbid_ros.diagnosis.forces import GAINS
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
-from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
 from symbid_ros.identification.assumed_contacts import assumed_contacts
+from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
+from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.log_reading import first_segments
+from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
 from symbid_ros.messages.types import IMU, JOINT_STATE, POSE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.model.wrist_sensors import with_wrist_sensors
 from symbid_ros.offline.base_topics import contact_flags, odometry_topics, pose_topics
 from symbid_ros.offline.name_matching import match_names, most_similar
 from symbid_ros.offline.robot_setup_file import RobotSetup
@@ -80,6 +82,7 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     else:
         inspector.find_drives()
     inspector.find_wrist_sensors()
+    inspector.find_mounting()
     inspector.correct_signs_and_units()
     return setup
 
@@ -265,6 +268,29 @@ class _Inspector:
                 f"{100 * share:.0f} % of the force is that of a body of {mass:.3g} kg.",
             )
 
+    def find_mounting(self) -> None:
+        """Say how gravity acts on a fixed base if the efforts contradict the model."""
+        robot = with_robot_options(self.robot, self._given)
+        if not searches_gravity(self._given, robot):
+            return
+        log = bag_log(self.bags, robot, TopicSelection.of(self.setup.log_options))
+        found = find_gravity(first_segments(log, robot), robot)
+        if found is not None:
+            self.setup.note("gravity", "CHECK: found from the efforts.")
+            for one in found.value.split():
+                self.setup.add("gravity", one)
+
+    @property
+    def _given(self) -> RobotOptions:
+        """What the options so far say of the robot."""
+        given = self.setup.options
+        direction = None
+        if "gravity" in given:
+            x, y, z = map(float, given["gravity"])
+            direction = (x, y, z)
+        contacts, sensors = (tuple(given.get(name, ())) for name in ("contact", "wrist_sensor"))
+        return RobotOptions(contact=contacts, wrist_sensor=sensors, gravity=direction)
+
     def correct_signs_and_units(self) -> None:
         """Correct wrong signs and units until the doctor finds none."""
         found = self._diagnosed()
@@ -281,10 +307,7 @@ class _Inspector:
     def _diagnosed(self) -> Diagnosis:
         """Return what the doctor says of the log, read with the options so far."""
         log = bag_log(self.bags, self.robot, TopicSelection.of(self.setup.log_options))
-        sensors, contacts = (
-            self.setup.options.get(name, []) for name in ("wrist_sensor", "contact")
-        )
-        return diagnose(log, with_contacts(with_wrist_sensors(self.robot, sensors), contacts))
+        return diagnose(log, with_robot_options(self.robot, self._given))
 
     def _correct(self, found: Diagnosis) -> bool:
         """Change signs and units as the diagnosis implies; return whether any changed."""

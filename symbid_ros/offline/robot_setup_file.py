@@ -79,6 +79,8 @@ class RobotSetup:
                 yield f"    # {line}"
             if values and name in SCALARS:
                 yield f"    {name}: {_yaml(values[0])}"
+            elif values and name in NUMBERS:
+                yield f"    {name}: [{', '.join(values)}]"
             elif values:
                 yield f"    {name}:"
                 yield from (f"      - {_yaml(value)}" for value in values)
@@ -87,8 +89,10 @@ class RobotSetup:
 
 
 SCALARS = frozenset({"pose_frame"})  # options with one value
+NUMBERS = frozenset({"gravity"})
 # Options in the order of the file, with the comment above each.
 DESCRIPTIONS = {
+    "gravity": "Direction of gravity in the axes of a fixed base.",
     "joint_topic": "Topics of joint states.",
     "imu_topic": "Topics of IMUs, which a floating base needs.",
     "wrench_topic": "Topics of wrench sensors, one for each contact.",
@@ -114,6 +118,7 @@ DESCRIPTIONS = {
     "joint_terms": "Friction, armature and offsets: auto, none, or names of terms.",
 }
 EXAMPLES = {
+    "gravity": "[0.0, 0.0, -1.0]",
     "joint_topic": "[/joint_states]",
     "imu_topic": "[/imu/data]",
     "wrench_topic": "[/left_foot/wrench]",

@@ -1,4 +1,4 @@
-"""Options that say where something touches the robot, and which sensors feel it."""
+"""Options that say how the robot is mounted, what touches it, and which sensors feel that."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,13 +6,14 @@ from functools import cached_property
 from symbid_ros.errors import OptionError
 from symbid_ros.options import check_values, option
 
+MOUNTING = "Mounting of the robot"
 GROUP = "Contacts and wrench sensors"
 LARGEST_RADIUS = 1.0  # m, of a ball that is a foot
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactOptions:
-    """Wrist sensors, and contacts without a sensor.
+class RobotOptions:
+    """Gravity on a fixed base, wrist sensors, and contacts without a sensor.
 
     Raises
     ------
@@ -20,6 +21,14 @@ class ContactOptions:
         When a value is invalid.
     """
 
+    gravity: tuple[float, float, float] | None = option(
+        None,
+        "Direction of gravity in the axes of a fixed base, a vector of any length, such as 1 0 0 "
+        "for an arm on a wall.",
+        group=MOUNTING,
+        metavar="X Y Z",
+        unset="that of the model file, or another one that the efforts show without doubt",
+    )
     wrist_sensor: tuple[str, ...] = option(
         (),
         "Frame of each wrist force/torque sensor, as FRAME or FRAME:LINK with the first link "
@@ -40,6 +49,8 @@ class ContactOptions:
     def __post_init__(self) -> None:
         """Refuse invalid values."""
         check_values(self)
+        if self.gravity is not None and not any(self.gravity):
+            raise OptionError("`gravity` has no direction; give a vector such as 0 0 -1", "E501")
         for name in self.contacts:
             if not _is_kind(name.partition(":")[2]):
                 raise OptionError(

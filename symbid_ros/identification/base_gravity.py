@@ -1,0 +1,345 @@
+"""Direction of gravity on a fixed base, found from the efforts of a log.
+
+The model file of an arm on a wall or under a ceiling is usually that of the same arm on a table.
+The rows of a fixed base are linear in gravity: K(g) = K(0) + Σ gᵢ (K(eᵢ) - K(0)) for unit vectors
+eᵢ, so that rows for four directions give those for all. The best fits of the parameters in 26
+directions are compared, and the best two directions are refined by Gauss-Newton steps.
+"""
+
+import logging
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import islice, product
+from typing import TypeVar
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.choices import Term
+from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.diagnosis.model_statistics import is_taken
+from symbid_ros.estimation.prior_std import body_std
+from symbid_ros.identification.robot_options import RobotOptions
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.options import robot_file_line
+from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.weak_form import (
+    ALL_WINDOWS,
+    EquationRows,
+    block_rows,
+    cut_into_blocks,
+    suitable_windows,
+)
+
+Options = TypeVar("Options", bound=RobotOptions)
+
+# Rows are made of all of the first blocks of a log, and of ever fewer of the others.
+DENSE, MOST_BLOCKS = 8, 150
+WINDOWS = ALL_WINDOWS[2:]  # the first that suits the rate is used
+FEWEST_ROWS = 3  # per parameter of a link
+FEWEST_JOINTS = 2  # that turn; a wrong zero of a lone joint looks like another direction
+# Percent by which the model's inertias may be wrong, which are not those of a robot with a tool.
+WIDE = 100.0
+TERMS: tuple[Term, ...] = ("viscous", "coulomb", "armature", "offset")
+# Directions far from the model's are tried if that leaves this share of the efforts unexplained
+# (RMS), or if the opposite one fits as well. Real drives leave up to 0.15 with the right one.
+UNEXPLAINED = 0.1
+# Another direction has to be likelier by this many nats, and by this many for each row. What models
+# of real arms lack brings up to 0.13, with directions 1 to 4 degrees off.
+EVIDENCE, LEAST_GAIN = 50.0, 0.35
+# Efforts of which more is left are wrong in other ways.
+MOST_LEFT = 0.2
+# Friction may give the robot this share of the power that the efforts have, by chance.
+GIVEN = 0.02
+PASSES = 3  # of the deviations of residuals
+STEPS, LONGEST_STEP, SMALLEST_STEP = 10, 0.3, 1e-4  # rad
+LEAST_RESIDUAL = 1e-3  # share of a joint's efforts
+KEPT = 2  # directions that are refined
+DIRECTIONS = np.array([one for one in product((-1.0, 0.0, 1.0), repeat=3) if any(one)])
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class FoundGravity:
+    """A direction of gravity that explains the efforts, unlike the model's.
+
+    Attributes
+    ----------
+    direction : tuple of float
+        Unit vector (3,) in base axes.
+    before, after : float
+        Share of the efforts (RMS) that the model's direction and this one leave unexplained.
+    """
+
+    direction: tuple[float, float, float]
+    before: float
+    after: float
+
+    @property
+    def value(self) -> str:
+        """The direction as a value of the option `gravity`."""
+        return " ".join(f"{one:.3f}" for one in self.direction)
+
+    def message(self, source: str) -> str:
+        """Return what was found, in one line; ``source`` is the file of the model."""
+        return (
+            f"the efforts say that gravity points along ({', '.join(self.value.split())}) in the "
+            f"base's axes, which leaves {100 * self.after:.2g} % of them unexplained; that of "
+            f"{source} leaves {100 * self.before:.2g} %"
+        )
+
+    def finding(self, source: str) -> Finding:
+        """Return the finding of the doctor; ``source`` is the file of the model."""
+        figures = {f"gravity_{axis}": one for axis, one in zip("xyz", self.direction, strict=True)}
+        line = robot_file_line("gravity", *(round(one, 3) for one in self.direction))
+        message = f"{self.message(source)}; give `gravity` {self.value}, or write {line}"
+        return Finding(Kind.BASE_MOUNTING, "", Severity.WARNING, message, figures)
+
+
+def searches_gravity(options: RobotOptions, robot: RobotModel) -> bool:
+    """Return whether the direction of gravity is searched for in a log of a robot."""
+    turning = sum(joint.kind == "revolute" for joint in robot.joints)
+    is_known = options.gravity is not None or bool(options.contacts)
+    return not robot.floating and not is_known and turning >= FEWEST_JOINTS
+
+
+def find_gravity(segments: Iterable[Segment], robot: RobotModel) -> FoundGravity | None:
+    """Return the direction of gravity if the efforts of a log contradict the model's.
+
+    Parameters
+    ----------
+    segments : iterable of Segment
+        Of the log.
+    robot : RobotModel
+        With a fixed base.
+    """
+    size = float(np.linalg.norm(robot.gravity))
+    if size == 0.0:
+        return None
+    blocks = list(_blocks(segments))
+    axes = np.vstack([robot.gravity / size, np.linalg.svd(robot.gravity[None])[2][1:]])
+    signed = (axes[0], -axes[0], *axes[1:])
+    rows, *others = (_rows(blocks, replace(robot, gravity=size * one)) for one in signed)
+    if rows is None or rows.valid.sum() < FEWEST_ROWS * len(ParameterSet(robot)):
+        return None
+    opposite, *across = (one.K for one in others if one is not None)
+    at_rest = (rows.K + opposite) / 2
+    slopes = np.stack([rows.K - at_rest, *(one - at_rest for one in across)])
+    directions = _Directions(rows, at_rest, slopes, axes)
+    own, other_way = rows.fit(), directions.at(-axes[0]).fit()
+    is_doubted = own.unexplained > UNEXPLAINED or other_way.cost < own.cost + EVIDENCE
+    best = directions.best(axes[0], everywhere=is_doubted)
+    fit = directions.at(best).fit()
+    # Of efforts with the wrong sign the opposite direction explains all but inertia and friction.
+    reversed_ = replace(rows, y=-rows.y).fit()
+    rivals = [own.cost, *([reversed_.cost] if reversed_.dissipates else [])]
+    gain = min(rivals) - fit.cost
+    if gain < max(EVIDENCE, LEAST_GAIN * rows.valid.sum()):
+        return None
+    if fit.unexplained > MOST_LEFT or not fit.dissipates:
+        return None
+    x, y, z = best.tolist()
+    return FoundGravity((x, y, z), own.unexplained, fit.unexplained)
+
+
+def _blocks(segments: Iterable[Segment]) -> Iterator[Segment]:
+    every = (block for segment in segments for block in cut_into_blocks(segment))
+    for number, block in enumerate(islice(every, MOST_BLOCKS), start=1):
+        if is_taken(number, DENSE):
+            yield block
+
+
+def _rows(blocks: Iterable[Segment], robot: RobotModel) -> "_Rows | None":
+    """Return the rows of blocks, averaged over windows; None if no block is long enough."""
+    parameters = ParameterSet(robot, TERMS)
+    build = EquationRows(parameters)
+    found = [
+        block_rows(block, build, windows, ())[0]
+        for block in blocks
+        if (windows := suitable_windows(WINDOWS, block.rate)[:1])
+    ]
+    if not found:
+        return None
+    valid = np.concatenate([one.valid for one in found])
+    y = np.concatenate([one.mean.y for one in found])
+    return _Rows(parameters, np.concatenate([one.mean.K for one in found]), y, valid)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Parameters that fit rows best.
+
+    Attributes
+    ----------
+    theta : (p,) float64
+    deviation : (n,) float64
+        Of the residuals.
+    cost : float
+        Negative logarithm of the likelihood and the prior.
+    unexplained : float
+        Root mean square of the residuals over that of y.
+    dissipates : bool
+        Whether friction takes power.
+    """
+
+    theta: FloatArray
+    deviation: FloatArray
+    cost: float
+    unexplained: float
+    dissipates: bool
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows K θ = y of N windows for one direction of gravity.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+        θ (p,): links, viscous and Coulomb friction, offsets.
+    K : (N, n, p) float64
+    y : (N, n) float64
+    valid : (N, n) bool
+    """
+
+    parameters: ParameterSet
+    K: FloatArray
+    y: FloatArray
+    valid: BoolArray
+
+    @cached_property
+    def mean(self) -> FloatArray:
+        """(p,) of the prior."""
+        mean = np.zeros(self.K.shape[2])
+        inertial = slice(0, self.parameters.inertial)
+        mean[inertial] = self.parameters.values[inertial]
+        return mean
+
+    @cached_property
+    def std(self) -> FloatArray:
+        """(p,) of the prior; friction and offsets are hardly limited."""
+        force = np.sqrt(np.mean(self.y[self.valid] ** 2))
+        std = np.full(self.K.shape[2], 1e3 * max(float(force), 1e-9))
+        links = self.parameters.link_phi(self.mean)
+        std[: self.parameters.inertial] = np.concatenate([body_std(one, WIDE) for one in links])
+        return np.asarray(np.maximum(std, 1e-9))
+
+    def fit(self, more: FloatArray | None = None) -> _Fit:
+        """Return the best fit, with deviations of the residuals of each coordinate.
+
+        ``more`` (N, n, m) are columns of further unknowns with a prior deviation of one.
+        """
+        K, mean, std = self.K, self.mean, self.std
+        if more is not None:
+            K, extra = np.concatenate([K, more], axis=2), more.shape[2]
+            mean, std = np.append(mean, np.zeros(extra)), np.append(std, np.ones(extra))
+        count = np.maximum(self.valid.sum(axis=0), 1)
+
+        def size(values: FloatArray) -> FloatArray:
+            kept = np.where(self.valid, values, 0.0)
+            return np.asarray(np.sqrt(np.sum(kept**2, axis=0) / count))
+
+        read = size(self.y)
+        least = LEAST_RESIDUAL * read + 1e-9
+        deviation = np.maximum(read, least)
+        x, left = np.zeros(len(mean)), self.y
+        for _ in range(PASSES):
+            A = (K / deviation[:, None])[self.valid]
+            b = (self.y / deviation)[self.valid] - A @ mean
+            scaled = np.concatenate([A * std, np.eye(len(std))])
+            x = np.linalg.lstsq(scaled, np.concatenate([b, np.zeros(len(std))]), rcond=None)[0]
+            left = self.y - K @ (mean + std * x)
+            deviation = np.maximum(size(left), least)
+        theta = mean + std * x
+        cost = float(count @ np.log(deviation) + x @ x / 2)
+        share = float(np.linalg.norm(size(left))) / max(float(np.linalg.norm(read)), 1e-9)
+        return _Fit(theta, deviation, cost, share, self._dissipates(theta))
+
+    def _dissipates(self, theta: FloatArray) -> bool:
+        """Return whether friction takes power, apart from what chance gives."""
+        columns = self.parameters.term_columns
+        viscous, coulomb = columns["viscous"].start, columns["coulomb"].start
+        taken = given = 0.0
+        for joint in range(len(self.parameters.model.joints)):
+            K, y = self.K[self.valid[:, joint], joint], self.y[self.valid[:, joint], joint]
+            rate, sign = K[:, viscous + joint], K[:, coulomb + joint]
+            friction = theta[viscous + joint] * rate + theta[coulomb + joint] * sign
+            taken += float(friction @ rate)
+            given += float(np.abs(y) @ np.abs(rate))
+        return taken > -GIVEN * given
+
+
+@dataclass(frozen=True)
+class _Directions:
+    """Rows for all directions of gravity.
+
+    Attributes
+    ----------
+    rows : _Rows
+        Of one direction.
+    at_rest : (N, n, p) float64
+        K without gravity.
+    slopes : (3, N, n, p) float64
+        Derivatives of K by gravity along the axes.
+    axes : (3, 3) float64
+        Unit vectors in base axes, one a row.
+    """
+
+    rows: _Rows
+    at_rest: FloatArray
+    slopes: FloatArray
+    axes: FloatArray
+
+    def at(self, direction: FloatArray) -> _Rows:
+        """Return the rows for a unit vector."""
+        return replace(self.rows, K=self.at_rest + self._slope(direction))
+
+    def _slope(self, direction: FloatArray) -> FloatArray:
+        """Return the derivative (N, n, p) of K by gravity along a unit vector."""
+        return np.asarray(np.tensordot(self.axes @ direction, self.slopes, axes=1))
+
+    def best(self, near: FloatArray, *, everywhere: bool) -> FloatArray:
+        """Return the unit vector with the least cost, near another one or everywhere."""
+        refined = [self._refined(near)]
+        if everywhere:
+            grid = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+            costs = [self.at(one).fit().cost for one in grid]
+            refined += [self._refined(grid[place]) for place in np.argsort(costs)[:KEPT]]
+        return refined[int(np.argmin([self.at(one).fit().cost for one in refined]))]
+
+    def _refined(self, direction: FloatArray) -> FloatArray:
+        for _ in range(STEPS):
+            rows = self.at(direction)
+            theta = rows.fit().theta
+            tangents = np.linalg.svd(direction[None])[2][1:]
+            turned = [self._slope(one) @ theta for one in tangents]
+            step = rows.fit(np.stack(turned, axis=2)).theta[-len(tangents) :]
+            length = float(np.linalg.norm(step))
+            direction = direction + min(1.0, LONGEST_STEP / max(length, 1e-12)) * step @ tangents
+            direction = direction / np.linalg.norm(direction)
+            if length < SMALLEST_STEP:
+                break
+        return direction
+
+
+def with_found_gravity(
+    options: Options, robot: RobotModel, segments: Iterable[Segment], source: str
+) -> Options:
+    """Return options with the direction of gravity that a log shows, and log a warning.
+
+    They are returned as they are if the log does not contradict the model.
+    """
+    if not searches_gravity(options, robot):
+        return options
+    found = find_gravity(segments, robot)
+    if found is None:
+        return options
+    logger.warning(
+        "%s: %s; this direction is used, `gravity` gives another",
+        source,
+        found.message(robot.source),
+    )
+    return replace(options, gravity=found.direction)

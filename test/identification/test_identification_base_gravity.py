@@ -1,0 +1,154 @@
+"""Arms on walls and under ceilings, of which the model file says that they stand on a table."""
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arm_log import arm_streams
+from documented_robots import ur5_urdf
+from foreign_bags import joint_state, joints_only
+from random_robots import random_robot
+
+import symbid_ros as sy
+from symbid_ros.diagnosis.findings import Kind
+from symbid_ros.errors import OptionError
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.base_gravity import find_gravity
+from symbid_ros.identification.contacts import with_robot_options
+from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.robot_options import RobotOptions
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.robot_setup import inspect_robot
+from symbid_ros.signals.log import Log
+
+DOWN = np.array([0.0, 0.0, -9.81])
+WALL = np.array([9.81, 0.0, 0.0])
+FRICTION = 0.05  # of the effort limits; wrists rub more than they carry
+
+
+@pytest.fixture(scope="module")
+def ur5(tmp_path_factory):
+    """Return the model file of a UR5 whose links are off by up to a quarter."""
+    robot = sy.load_model(ur5_urdf(), base="fixed")
+    parameters = ParameterSet(robot)
+    drawn = draw_prior(parameters, "consistent", 25, 3).mean
+    path = tmp_path_factory.mktemp("model") / "ur5.urdf"
+    path.write_text(urdf_text(parameters.apply(drawn), ur5_urdf()))
+    return sy.load_model(path, base="fixed")
+
+
+def streams_under(gravity, seed=1, friction=FRICTION, seconds=20.0):
+    """Return what an arm reads on which gravity acts in some direction."""
+    true = replace(sy.load_model(ur5_urdf(), base="fixed"), gravity=np.asarray(gravity))
+    return arm_streams(true, seconds, seed, friction=friction)
+
+
+def found_in(streams, robot):
+    return find_gravity(AlignedLog(Log.from_streams(streams), robot), robot)
+
+
+def angle(direction, gravity) -> float:
+    """Return the angle in degrees between a unit vector and gravity."""
+    cosine = np.dot(direction, gravity) / np.linalg.norm(gravity)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+@pytest.mark.parametrize(
+    "gravity",
+    [WALL, -DOWN, [0.0, 1.7, -9.66], [3.0, -8.0, 4.8]],
+    ids=["wall", "ceiling", "tilted by 10 degrees", "askew"],
+)
+@pytest.mark.parametrize("friction", [0.0, 0.15])
+def test_the_direction_is_found(ur5, gravity, friction) -> None:
+    found = found_in(streams_under(gravity, friction=friction), ur5)
+    assert angle(found.direction, gravity) < 0.2
+    assert found.after < 0.1 * found.before
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("friction", [0.0, 0.05, 0.15])
+def test_the_direction_of_a_right_model_is_kept(ur5, friction, seed) -> None:
+    assert found_in(streams_under(DOWN, seed, friction), ur5) is None
+
+
+@pytest.mark.parametrize(
+    "factor", [-1.0, np.array([0.1, -1.2, 0.7, 1.0, -0.3, 2.0])], ids=["sign", "units"]
+)
+def test_wrong_efforts_are_no_other_direction(ur5, factor) -> None:
+    """Efforts of the wrong sign look like those of an arm under the ceiling."""
+    read = streams_under(DOWN)
+    read = replace(read, joints=replace(read.joints, effort=factor * read.joints.effort))
+    assert found_in(read, ur5) is None
+
+
+@pytest.fixture(scope="module")
+def result(ur5):
+    return sy.identify(ur5, Log.from_streams(streams_under(WALL, seconds=40.0)))
+
+
+def test_an_arm_on_a_wall_is_identified_by_default(ur5, result) -> None:
+    estimate = result.estimate
+    assert angle(estimate.gravity, WALL) < 0.2
+    assert np.linalg.norm(estimate.gravity) == pytest.approx(9.81)
+    assert result.options.gravity == pytest.approx(np.array(estimate.gravity) / 9.81)
+    assert estimate.holdout.percent_after < 0.1 * estimate.holdout.percent_before
+    assert estimate.verdict.alarms == ()
+    true = sy.load_model(ur5_urdf(), base="fixed").phi
+    errors = [
+        (one.value - true[ur5.link_names.index(link), 0]) / one.std
+        for link in ur5.link_names[1:]
+        if (one := result.parameters[f"{link}/m"]).is_determined
+    ]
+    assert np.sqrt(np.mean(np.square(errors))) < 2.0
+
+
+def test_a_direction_that_is_given_is_used(ur5, result) -> None:
+    log = Log.from_streams(streams_under(WALL, seconds=40.0))
+    given = sy.identify(ur5, log, gravity=2.0 * WALL, no_holdout=True)
+    assert given.options.gravity == tuple(2.0 * WALL)
+    np.testing.assert_allclose(given.estimate.gravity, WALL)
+    std = np.maximum(result.estimate.std, given.estimate.std)
+    assert np.all(np.abs(given.estimate.value - result.estimate.value) < 3 * std + 1e-9)
+
+
+def test_a_saved_result_predicts_the_arm_on_its_wall(result, tmp_path) -> None:
+    result.save(tmp_path / "result")
+    model = ForcePredictor.load(tmp_path / "result").parameters.model
+    assert angle(model.gravity / 9.81, WALL) < 0.2
+    validation = sy.validate(tmp_path / "result", Log.from_streams(streams_under(WALL)))
+    assert validation.is_better
+    assert validation.percent_after < 1.0
+    option = ET.parse(tmp_path / "result/model.xml").getroot().find("option")
+    assert angle([float(one) / 9.81 for one in option.get("gravity").split()], WALL) < 0.2
+
+
+def test_the_doctor_blames_the_mounting_and_no_sensor(ur5) -> None:
+    diagnosis = sy.diagnose(ur5, Log.from_streams(streams_under(WALL)))
+    (finding,) = diagnosis.findings
+    assert finding.kind is Kind.BASE_MOUNTING
+    assert finding.figures["gravity_x"] == pytest.approx(1.0, abs=1e-3)
+    given = sy.diagnose(ur5, Log.from_streams(streams_under(WALL)), gravity=WALL)
+    assert given.findings == ()
+
+
+def test_init_writes_the_direction(ur5, tmp_path) -> None:
+    read = streams_under(WALL).joints
+    columns = zip(read.stamp, read.position, read.velocity, read.effort, strict=True)
+    messages = [joint_state(int(stamp), read.names, *one) for stamp, *one in columns]
+    bag = joints_only(tmp_path / "bag", *messages)
+    setup = inspect_robot(Path(ur5.source), [bag], "fixed")
+    assert angle([float(one) for one in setup.options["gravity"]], WALL) < 0.2
+    assert "effort_scale" not in setup.options
+    assert setup.diagnosis.findings == ()
+
+
+def test_a_direction_needs_a_fixed_base_and_a_length() -> None:
+    with pytest.raises(OptionError, match="no direction"):
+        RobotOptions(gravity=(0.0, 0.0, 0.0))
+    floating = random_robot(1, links=3, floating=True)
+    with pytest.raises(OptionError, match="fixed base"):
+        with_robot_options(floating, RobotOptions(gravity=(1.0, 0.0, 0.0)))
