@@ -24,6 +24,8 @@ SMALLEST_ANGLE = np.radians(5.0)
 # Squared deviations by which a rotation must explain more than the identity.
 MIN_EVIDENCE = 25.0
 DEVIATIONS = 3.0
+# The same of the sign of all efforts, as the inertias of links err together.
+REVERSED = 2 * MIN_EVIDENCE
 # Smallest gain that is reported, relative to the common gain.
 SMALLEST = 1e-4
 # Several faults of one kind may have one cause. More faults than this of several kinds are
@@ -118,6 +120,8 @@ def check_forces(
         ),
         *_effort_findings(joints, known, common),
     ]
+    if not found and not statistics.model.floating and _are_reversed(efforts):
+        found = [_sign_finding(joints, {name: gain for name, (gain, _) in efforts.items()}, True)]
     several = len(found) > MOST_FAULTS and len({one.kind for one in found}) > 1
     # Vanishing gains explain any log.
     vanishing = bool(found or rotations) and not EXPLAINED[0] <= common <= EXPLAINED[1]
@@ -130,6 +134,17 @@ def check_forces(
 def _is_known(gain: float, std: float) -> bool:
     """Return whether a gain is known well enough to judge its sign and size."""
     return DEVIATIONS * std < max(abs(gain), 0.5)
+
+
+def _are_reversed(efforts: Mapping[str, tuple[float, float]]) -> bool:
+    """Return whether the gains of all joints are negative together.
+
+    A log may be too short, or its motion too small, to judge single joints.
+    """
+    gain, std = np.array(list(efforts.values())).reshape(-1, 2).T
+    # Squared deviations from gains of one, less those from gains of minus one.
+    evidence = -4 * gain / std**2
+    return bool(evidence.sum() > REVERSED and np.all(gain < std))
 
 
 def _is_explained(gain: float) -> bool:
@@ -252,18 +267,8 @@ def _effort_findings(
     # The deviation is that of the ratio 1/g, relative to the ratio.
     negative = [name for name, (gain, std) in known.items() if gain < 0 and DEVIATIONS * std < 1]
     if negative:
-        whose = "all joints" if len(negative) > 2 and len(negative) == len(known) else ""
-        figures = {f"{name}/gain": known[name][0] / common for name in negative}
-        yield Finding(
-            Kind.TORQUE_SIGN,
-            topic,
-            Severity.UNUSABLE,
-            f"{topic}: effort of {whose or ', '.join(negative)} has the wrong sign (gain "
-            f"{np.mean(list(figures.values())):.2f} relative to the others); publish it along the "
-            "joint's axis, or write "
-            + robot_file_line("effort_scale", *(f"{name}:=-1" for name in negative)),
-            figures,
-        )
+        are_all = len(negative) > 2 and len(negative) == len(known)
+        yield _sign_finding(topic, {name: known[name][0] / common for name in negative}, are_all)
     wrong = {}
     for name, (gain, std) in known.items():
         # The standard deviation includes the errors of the inertias.
@@ -285,6 +290,20 @@ def _effort_findings(
             + ", or let `drive_gain` identify it",
             {"reads": reads} | {f"{name}/reads": wrong[name] for name in names},
         )
+
+
+def _sign_finding(topic: str, gains: Mapping[str, float], are_all: bool) -> Finding:
+    """Return the finding that joints with these gains have the wrong sign."""
+    return Finding(
+        Kind.TORQUE_SIGN,
+        topic,
+        Severity.UNUSABLE,
+        f"{topic}: effort of {'all joints' if are_all else ', '.join(gains)} has the wrong sign "
+        f"(gain {np.mean(list(gains.values())):.2f} relative to the others); publish it along the "
+        "joint's axis, or write "
+        + robot_file_line("effort_scale", *(f"{name}:=-1" for name in gains)),
+        {f"{name}/gain": gain for name, gain in gains.items()},
+    )
 
 
 def _similar_groups(reads: Mapping[str, float]) -> Iterator[list[str]]:

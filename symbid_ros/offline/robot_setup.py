@@ -334,6 +334,8 @@ class _Inspector:
             # No joint has the unit of the model, so those without a visible load have not either.
             for name in unknown:
                 self._scale(name, usual)
+        if "effort_scale" not in self.setup.options:
+            self._reverse_efforts(found)
         for one in found.findings:
             place = self.frames.get(one.stream, "")
             if one.kind is Kind.IMU_MOUNTING and place and "roll_deg" in one.figures:
@@ -352,6 +354,14 @@ class _Inspector:
             flipped.remove(frame)
         else:
             self.setup.add("flip_wrench", frame, "Found from the equation of motion.")
+
+    def _reverse_efforts(self, found: Diagnosis) -> None:
+        """Change the signs of efforts that are wrong together, whose size is not known well."""
+        for one in found.findings:
+            if one.kind is Kind.TORQUE_SIGN:
+                joints = [name.removesuffix("/gain") for name in one.figures]
+                self.setup.options["effort_scale"] = [f"{name}:=-1.0" for name in joints]
+                self.setup.note("effort_scale", "CHECK: all joints together show this sign.")
 
     def _scale(self, joint: str, factor: float) -> None:
         entries = dict(entry.split(":=", 1) for entry in self.setup.options.get("effort_scale", []))

@@ -111,6 +111,17 @@ def test_drives_without_a_visible_load_read_currents_like_the_others(tmp_path) -
     assert list(found.values())[1:3] == pytest.approx([10, 10], rel=0.3)
 
 
+def test_efforts_that_are_wrong_together_get_the_other_sign(tmp_path) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 8.0, 1, friction=0.05).joints
+    columns = zip(read.stamp, read.position, read.velocity, -read.effort, strict=True)
+    messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in columns]
+    setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    assert setup.options["effort_scale"] == [f"{name}:=-1.0" for name in arm.joint_names]
+    assert "drive_gain" not in setup.options
+    assert setup.diagnosis.findings == ()
+
+
 def test_a_joint_with_the_unit_of_the_model_leaves_unseen_ones_alone(log, tmp_path) -> None:
     def one_current(messages: Messages) -> None:
         messages.records["effort"][:, messages.joints.index("L_hfe")] /= 10.0

@@ -55,6 +55,16 @@ def test_currents_for_torques(ur5, friction, factor) -> None:
     assert finding.figures["reads"] == pytest.approx(factor, rel=0.3)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_short_logs_tell_the_sign_of_all_efforts_together(ur5, seed) -> None:
+    """No single joint of this log is known well enough."""
+    read = arm_streams(ur5, 8.0, seed, friction=0.05)
+    assert judged(ur5, read, seed).findings == ()
+    (finding,) = judged(ur5, with_effort(read, slice(None), -1.0), seed).findings
+    assert (finding.kind, finding.severity) == (Kind.TORQUE_SIGN, Severity.UNUSABLE)
+    assert set(finding.figures) == {f"{name}/gain" for name in ur5.joint_names}
+
+
 def test_one_drive_in_another_unit(ur5) -> None:
     streams = with_effort(arm_streams(ur5, SECONDS, 1, friction=0.05), 1, 0.1)
     (finding,) = judged(ur5, streams).findings
