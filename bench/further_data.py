@@ -1,4 +1,4 @@
-"""Further public logs: four arms, a mobile manipulator, and a robot with legs."""
+"""Further public logs: five arms, a mobile manipulator, and a robot with legs."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -61,6 +61,21 @@ def _recording(bag: Path, names: Sequence[str]) -> Recording:
     order = [joints.names.index(name) for name in names]
     time = 1e-9 * (joints.stamp - joints.stamp[0])
     return Recording(bag.name, time, joints.position[:, order], joints.effort[:, order])
+
+
+def med7(files: Sequence[Path]) -> RealLog:
+    """Read link-side torques of a KUKA LBR Med 7 at 100 Hz, the rate of test_model.py there.
+
+    The driver publishes torques with the opposite sign.
+    """
+    run, urdf = files
+    rows = np.genfromtxt(run, delimiter=",", names=True)
+    position, effort = (
+        np.column_stack([rows[f"{name}_{joint}"] for joint in range(7)]) for name in ("q", "tau")
+    )
+    log = Recording("med7", 0.01 * np.arange(len(position)), position, -effort)
+    robot = sy.load_model(urdf, base="fixed")
+    return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), cutoff=10.0)
 
 
 def rokae(files: Sequence[Path]) -> RealLog:
@@ -198,6 +213,19 @@ FURTHER_DATA = {
         },
         ur10,
         "The repository publishes no held-out error for this run.",
+    ),
+    "med7": RealData(
+        "KUKA LBR Med 7, 7 joints, torque sensors, 100 Hz, 16 s",
+        "https://github.com/lbr-stack/dynamic_parameter_identification commit 58b4d88",
+        "MIT",
+        {
+            "src/test/measurements.csv": ""
+            "a1c7d3fb1c0e0224e938b5d3d0d72042534573072905f661a07f31dfa2addd4d",
+            "urdf/med/med7dock.urdf": ""
+            "29b19bce6d82a5a991ad3a7d24da87ee19194ad165eaeb63911de824276f43de",
+        },
+        med7,
+        "The repository publishes no held-out error.",
     ),
     "rokae": RealData(
         "Rokae AR5-5, 7 joints, torque sensors, 50 Hz, 60 s",
