@@ -45,9 +45,7 @@ def recommend(estimate: Estimate) -> Recommendation:
     alarms = () if estimate.verdict is None else estimate.verdict.alarms
     holdout = estimate.holdout
     if alarms:
-        count = "1 alarm" if len(alarms) == 1 else f"{len(alarms)} alarms"
-        figure = f"; {change_on_held_out_data(estimate)}" if _is_tried(estimate) else ""
-        return Recommendation("bad", f"Do not use this model yet: {count}{figure}.")
+        return _with_alarms(estimate, len(alarms))
     calm = "" if estimate.verdict is None else "; no alarm"
     if holdout is None or not _is_tried(estimate):
         why = "" if holdout is None else f" ({holdout.summary})"
@@ -77,6 +75,30 @@ def recommend(estimate: Estimate) -> Recommendation:
     kinds = {"worse": "is worse than the original", "unfit": "errs by more than was measured"}
     worse = kinds.get(holdout.advice, "is partly worse")
     return Recommendation("bad", f"Do not use this model, it {worse}: {figure}{calm}.", repeats)
+
+
+def _with_alarms(estimate: Estimate, number: int) -> Recommendation:
+    count = "1 alarm" if number == 1 else f"{number} alarms"
+    figure = f"; {change_on_held_out_data(estimate)}" if _is_tried(estimate) else ""
+    if _predicts_better(estimate):
+        return Recommendation(
+            "caution",
+            f"Use this model for predictions, not its single parameters: {count}{figure}.",
+            "The model lacks an effect that the robot has, or started far from it.",
+        )
+    return Recommendation("bad", f"Do not use this model yet: {count}{figure}.")
+
+
+def _predicts_better(estimate: Estimate) -> bool:
+    """Return whether predictions improve, and all alarms are about what the model leaves over.
+
+    Faults of sensors are different: predictions of a log with the same fault improve with it.
+    """
+    verdict, holdout = estimate.verdict, estimate.holdout
+    if verdict is None or holdout is None or holdout.advice != "better":
+        return False
+    widened = verdict.is_prior_scaled and verdict.prior_scale > verdict.largest_prior_scale
+    return len(verdict.alarms) == widened + verdict.is_coloured
 
 
 def _is_uncertain(holdout: HoldOut) -> bool:

@@ -7,6 +7,7 @@ import pytest
 from report_pages import VERDICT, content, content_of_a_log
 
 from symbid_ros.estimation.estimate import HoldOut
+from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.report.content import MethodResult
 from symbid_ros.report.first_screen import (
     error_bars,
@@ -59,6 +60,24 @@ class TestRecommendation:
             "Do not use this model yet: 1 alarm; torque error on data held out 9.4 % → 1.2 %."
         )
         assert "2 alarms" in recommend(estimate(alarms=(ALARM, ALARM))).sentence
+
+    def test_a_model_that_lacks_an_effect_may_be_used_for_predictions(self):
+        shown = estimate("better", alarms=(ALARM,))
+        coloured = replace(
+            shown.verdict,
+            whiteness=2.0,
+            unexplained=(UnexplainedForce("knee", "Nm", 2.0, 80.0, 0.025),),
+        )
+        found = recommend(replace(shown, verdict=coloured))
+        assert found.kind == "caution"
+        assert found.sentence == (
+            "Use this model for predictions, not its single parameters: 1 alarm; torque error on "
+            "data held out 9.4 % → 1.2 %."
+        )
+        others = replace(coloured, alarms=(ALARM, ALARM))
+        assert recommend(replace(shown, verdict=others)).kind == "bad"
+        worse = replace(shown, holdout=replace(shown.holdout, advice="worse"), verdict=coloured)
+        assert recommend(worse).kind == "bad"
 
     def test_a_motion_that_repeats_itself_limits_the_advice(self):
         found = recommend(estimate(repeats=0.95))
