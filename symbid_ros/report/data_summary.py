@@ -19,6 +19,7 @@ from symbid_ros.report.formatting import ABSENT, fixed, shared_decimals, signifi
 NOTHING: Mapping[str, float] = MappingProxyType({})
 
 END = "the model has the friction at the end of the log"
+UPRIGHT = np.cos(np.radians(0.5))
 LARGEST_COM_STD = 1.0  # m; a larger deviation says nothing more
 
 
@@ -48,6 +49,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
             if terms
             else []
         ),
+        *_mounting_entries(estimate),
         *(
             [SummaryEntry("Changing friction", changes, END, page="theory.html")]
             if (changes := "; ".join(estimate.describe_warming()))
@@ -110,6 +112,20 @@ def _mass_scale_entries(verdict: Verdict) -> tuple[SummaryEntry, ...]:
             f"± {significant(100 * verdict.mass_scale)} %",
             "not checkable without a weighing: a gain that all forces and efforts have in common "
             "leaves no residual",
+        ),
+    )
+
+
+def _mounting_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
+    """Return how gravity points on a fixed base that does not stand upright."""
+    if estimate.gravity is None or not any(estimate.gravity):
+        return ()
+    x, y, z = np.array(estimate.gravity) / np.linalg.norm(estimate.gravity)
+    if -z > UPRIGHT:
+        return ()
+    return (
+        SummaryEntry(
+            "Gravity", f"along ({x:.3f}, {y:.3f}, {z:.3f})", "in the base’s axes", page="data.html"
         ),
     )
 

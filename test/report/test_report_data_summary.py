@@ -100,6 +100,21 @@ class TestAlarms:
         assert {entry.name for entry in entries if entry.is_alarm} == marked
 
 
+@pytest.mark.parametrize(
+    ("gravity", "shown"),
+    [
+        (None, None),
+        ((0.0, 0.0, -9.81), None),
+        ((0.0, 0.0, 0.0), None),
+        ((9.81, 0.0, 0.0), "along (1.000, 0.000, 0.000)"),
+    ],
+)
+def test_only_a_base_that_does_not_stand_upright_shows_gravity(gravity, shown) -> None:
+    entries = verdict_entries(replace(content_with_verdict().estimate, gravity=gravity))
+    found = {entry.name: entry.value for entry in entries}
+    assert found.get("Gravity") == shown
+
+
 class TestDataSummary:
     page = Page(render(content_with_verdict(sensors=SENSORS)))
 
