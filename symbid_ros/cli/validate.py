@@ -16,6 +16,14 @@ HeldOut = Annotated[
     list[Path],
     typer.Option(help="Bag that the identification did not use, in sequence if several."),
 ]
+Carried = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Payload LINK,MASS,X,Y,Z (kg; m in the link's axes) that the robot carries in the "
+        "bag; LINK,MASS if the identification found its place.",
+        metavar="PAYLOAD",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
 
 
@@ -31,6 +39,7 @@ def validate(
         Path | None,
         typer.Option(help="Bag folder to write measured and predicted efforts to."),
     ] = None,
+    payload: Carried = None,
     as_json: Json = False,
 ) -> None:
     """Compare an identified robot with a log that was not used; no truth is needed.
@@ -51,7 +60,8 @@ def validate(
             f"{predictions}: exists; choose another --predictions, or remove it", "E551"
         )
     with progress_shown():
-        found = judge(result, load_bag(bag, options=as_identified(log, [result])))
+        held_out = load_bag(bag, options=as_identified(log, [result]))
+        found = judge(result, held_out, payload=payload or ())
     if predictions is not None:
         write_predictions(found.efforts, predictions)
     if as_json:
@@ -70,6 +80,7 @@ def compare(
     bag: HeldOut,
     log: LogOptions,
     robot: Robot = None,
+    payload: Carried = None,
     as_json: Json = False,
 ) -> None:
     """Rank identifications of one robot by their error on a log that none of them used.
@@ -83,7 +94,8 @@ def compare(
     from symbid_ros.offline.bags import load_bag
 
     with progress_shown():
-        found = rank(results, load_bag(bag, options=as_identified(log, results)))
+        held_out = load_bag(bag, options=as_identified(log, results))
+        found = rank(results, held_out, payload=payload or ())
     if as_json:
         typer.echo(json.dumps(found.document(), indent=1))
     else:

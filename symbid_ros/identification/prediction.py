@@ -1,6 +1,6 @@
 """Forces that an identified robot predicts, on the same rows as its identification."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import with_all_rows, with_contacts, without_contacts
 from symbid_ros.dynamics.upright import upward
-from symbid_ros.errors import EstimateError, SymbidError
+from symbid_ros.errors import EstimateError, OptionError, SymbidError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings, load_estimate
 from symbid_ros.estimation.observations import Observations
@@ -22,6 +22,7 @@ from symbid_ros.identification.result_files import load_estimated_model
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.log import Log
@@ -167,6 +168,29 @@ class ForcePredictor:
         model = log.applied_to(self.parameters.model)
         return replace(self, parameters=replace(self.parameters, model=model))
 
+    def carrying(self, payloads: Sequence[str]) -> "ForcePredictor":
+        """Return the predictor of a robot that carries payloads, and no others.
+
+        Parameters
+        ----------
+        payloads : sequence of str
+            ``LINK,MASS,X,Y,Z``, or ``LINK,MASS`` if the result has identified the place.
+
+        Raises
+        ------
+        ModelError, OptionError
+            When a payload is invalid, or its place is unknown.
+        """
+        carried = tuple(Payload.parse(text, self.parameters.model) for text in payloads)
+        known = {name.rpartition("/")[0] for name in self.sensor_names if PLACE in name}
+        for text, one in zip(payloads, carried, strict=True):
+            if one.frame is not None and one.name not in known:
+                raise OptionError(
+                    f"`payload` {text}: {self.name} does not know its place; give LINK,MASS,X,Y,Z",
+                    "E503",
+                )
+        return replace(self, parameters=replace(self.parameters, payloads=carried))
+
     @property
     def original(self) -> FloatArray:
         """(p + s,) parameters of the original model with the identified sensor errors."""
@@ -296,7 +320,8 @@ class ForcePredictor:
                 "in one of them only); give a log of the same sensors",
                 "E528",
             )
-        return errors, np.array([self.sensor_names.index(name) for name in errors.names])
+        places = [self.sensor_names.index(name) for name in errors.names]
+        return errors, np.array(places, dtype=np.int64)
 
     def _effort_and_gravity(self, samples: Samples, parameters: ParameterSet) -> FloatArray:
         """Return (N, n, 2) motor efforts, and forces that hold the identified links still."""

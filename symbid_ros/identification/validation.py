@@ -241,7 +241,7 @@ class Comparison:
         return versioned("comparison", {"verdict": self.verdict, "ranking": ranking})
 
 
-def validate(result: Result | str | Path, log: Log) -> Validation:
+def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = ()) -> Validation:
     """Compare what an identified robot predicts for a log with what was measured.
 
     Parameters
@@ -250,13 +250,16 @@ def validate(result: Result | str | Path, log: Log) -> Validation:
         A result, or the folder of a saved one.
     log : Log
         Measurements that the identification did not use.
+    payload : sequence of str
+        Payloads that the robot carries in it: ``LINK,MASS,X,Y,Z``, or ``LINK,MASS`` if the result
+        has identified the place.
 
     Raises
     ------
     SymbidError
         When a file of the result, or the log, is invalid or belongs to another robot.
     """
-    predictor = _predictor(result).with_frames_of(log)
+    predictor = _predictor(result, log, payload)
     return validate_segments(predictor, AlignedLog(log, predictor.parameters.model), log.source)
 
 
@@ -267,7 +270,9 @@ def validate_segments(
     return _assess(predictor, ForceRows.of(predictor, segments, source), source)
 
 
-def compare(results: Sequence[Result | str | Path], log: Log) -> Comparison:
+def compare(
+    results: Sequence[Result | str | Path], log: Log, *, payload: Sequence[str] = ()
+) -> Comparison:
     """Rank results by their error on a log, all on the same rows.
 
     Unless all results have equal rows, the rows are averaged over the longest of their windows.
@@ -279,13 +284,15 @@ def compare(results: Sequence[Result | str | Path], log: Log) -> Comparison:
         Results, or folders of saved ones, of robots with the same joints.
     log : Log
         Measurements that no identification used.
+    payload : sequence of str
+        As of :func:`validate`.
 
     Raises
     ------
     SymbidError
         When a file of a result, or the log, is invalid or belongs to another robot.
     """
-    predictors = [_predictor(result).with_frames_of(log) for result in results]
+    predictors = [_predictor(result, log, payload) for result in results]
     first = predictors[0]
     lengths = [one.settings.window for one in predictors if one.settings.filter == "weak"]
     window = max((length for length in lengths if length), default=WINDOW)
@@ -320,8 +327,12 @@ def compare(results: Sequence[Result | str | Path], log: Log) -> Comparison:
     return Comparison(ranking, _ranking_verdict(ranking[:2], [data[index] for index in order[:2]]))
 
 
-def _predictor(result: Result | str | Path) -> ForcePredictor:
-    return result.predictor if isinstance(result, Result) else ForcePredictor.load(Path(result))
+def _predictor(result: Result | str | Path, log: Log, payload: Sequence[str]) -> ForcePredictor:
+    if isinstance(result, Result):
+        predictor = result.predictor
+    else:
+        predictor = ForcePredictor.load(Path(result))
+    return predictor.with_frames_of(log).carrying(payload)
 
 
 def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validation:

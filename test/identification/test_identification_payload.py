@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
 from symbid_ros.errors import DataError, ModelError, OptionError
+from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import Frame
@@ -107,6 +108,38 @@ def test_a_place_that_is_not_given_is_identified(robot, loaded):
     deviation = np.array([one.std for one in place])
     assert np.all(deviation < 2e-3)
     assert np.all(np.abs(error) < 4 * deviation)
+
+
+def test_validation_knows_what_the_robot_carries_in_its_log(robot, loaded, text):
+    fields = {"unchecked": True, "no_holdout": True, "joint_terms": "none"}
+    empty, carrying = log_with(robot, seed=8), log_with(loaded, seed=9)
+    for result in (
+        sy.identify(robot, log_with(robot), **fields),
+        sy.identify(robot, log_with(loaded), payload=text, **fields),
+    ):
+        assert sy.validate(result, empty).percent_after < 1.0
+        assert sy.validate(result, carrying, payload=[text]).percent_after < 1.0
+        assert sy.validate(result, carrying).percent_after > 5.0
+        with pytest.raises(OptionError, match="does not know its place"):
+            sy.validate(result, carrying, payload=[f"{robot.link_names[-1]},{MASS}"])
+
+
+def test_validation_knows_a_place_that_was_identified(tmp_path, robot, loaded):
+    path = tmp_path / "robot.urdf"
+    path.write_text(urdf_text(robot))
+    text = f"{robot.link_names[-1]},{MASS}"
+    further = log_with(loaded, start=100.0, seed=1)
+    result = sy.identify(
+        sy.load_model(path, base="fixed"),
+        log_with(robot),
+        payload=[(further, text)],
+        unchecked=True,
+        no_holdout=True,
+    )
+    result.save(tmp_path / "result")
+    for one in (result, tmp_path / "result"):
+        assert sy.validate(one, log_with(loaded, seed=9), payload=[text]).percent_after < 1.0
+        assert sy.validate(one, log_with(robot, seed=9)).percent_after < 1.0
 
 
 def test_inertia_changes_with_the_place_as_that_of_a_point_mass(robot):
