@@ -28,7 +28,6 @@ from threadpoolctl import threadpool_limits
 import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.identification.contacts import with_gravity
 from symbid_ros.model.parameters import ParameterSet
 
 ALL_DATA = REAL_DATA | FURTHER_DATA
@@ -116,7 +115,7 @@ def references(log: RealLog, training: Sampled, heldout: Sampled) -> Iterator[tu
         predicted = parts[1] @ solve(parts[0], training)
         yield title if extra is None else f"the same {title}", score(heldout, predicted)
     if log.gravity is not None:
-        robot = with_gravity(log.robot, log.gravity)
+        robot = log.robot.with_gravity(log.gravity)
         parts = [columns(robot, part, log.terms) for part in (training, heldout)]
         direction = ", ".join(f"{one:g}" for one in log.gravity)
         title = f"the same with gravity along ({direction})"

@@ -3,15 +3,16 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from symbid_ros.options import check_values, option
+from symbid_ros.model.mounting_options import MountingOptions
+from symbid_ros.options import option
 
 LIMITS = "Limits"
 STANDING = "Standing robots"
 KNOWN = "What is known before"
 
 
-@dataclass(frozen=True)
-class ExciteOptions:
+@dataclass(frozen=True, kw_only=True)
+class ExciteOptions(MountingOptions):
     """How to design an excitation trajectory.
 
     Raises
@@ -149,7 +150,3 @@ class ExciteOptions:
         maximum=20.0,
         group=STANDING,
     )
-
-    def __post_init__(self) -> None:
-        """Refuse invalid values."""
-        check_values(self)

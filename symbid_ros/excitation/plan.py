@@ -30,6 +30,7 @@ def excitation_problem(
         When the base floats and no feet are named, no joint is driven, the robot cannot stand, or
         an option is invalid.
     """
+    robot = robot.with_gravity(options.gravity)
     if options.feet:
         return standing_problem(robot, options, sensors, base_sensors or BaseSensorOptions())
     return fixed_base_problem(robot, options, sensors)

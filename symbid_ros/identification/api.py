@@ -17,7 +17,7 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.identification.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
-from symbid_ros.identification.contacts import with_gravity, with_robot_options
+from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.holdout import identify_with_holdout
 from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.log_reading import first_segments
@@ -95,7 +95,7 @@ def diagnose(
         found = find_gravity(first_segments(log, robot), robot)
     if found is None:
         return doctor.diagnose(log, robot)
-    diagnosis = doctor.diagnose(log, with_gravity(robot, found.direction))
+    diagnosis = doctor.diagnose(log, robot.with_gravity(found.direction))
     return diagnosis.with_finding(found.finding(robot.source))
 
 

@@ -1,13 +1,7 @@
 """The robot as options say it is: its mounting, wrist sensors and contacts."""
 
-from collections.abc import Sequence
-from dataclasses import replace
-
-import numpy as np
-
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
-from symbid_ros.errors import OptionError
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
@@ -26,22 +20,8 @@ def with_robot_options(robot: RobotModel, options: RobotOptions) -> RobotModel:
     OptionError
         When the direction of gravity is given for a floating base.
     """
-    if options.gravity is not None and robot.floating:
-        raise OptionError(
-            "`gravity` is that of a fixed base; the IMU of a floating base measures it: leave "
-            "`gravity` out, or give `base` fixed",
-            "E503",
-        )
-    robot = with_gravity(robot, options.gravity)
+    robot = robot.with_gravity(options.gravity)
     return with_contacts(with_wrist_sensors(robot, options.wrist_sensors), options.contacts)
-
-
-def with_gravity(robot: RobotModel, direction: Sequence[float] | None) -> RobotModel:
-    """Return a robot on which gravity acts in another direction (3,), in base axes."""
-    if direction is None:
-        return robot
-    unit = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
-    return replace(robot, gravity=np.linalg.norm(robot.gravity) * unit)
 
 
 def contact_alarms(model: RobotModel, before: FloatArray, after: FloatArray) -> tuple[str, ...]:

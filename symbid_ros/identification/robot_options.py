@@ -4,16 +4,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from symbid_ros.errors import OptionError
-from symbid_ros.options import check_values, option
+from symbid_ros.model.mounting_options import MountingOptions
+from symbid_ros.options import option
 
-MOUNTING = "Mounting of the robot"
 GROUP = "Contacts and wrench sensors"
 LARGEST_RADIUS = 1.0  # m, of a ball that is a foot
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotOptions:
-    """Gravity on a fixed base, wrist sensors, and contacts without a sensor.
+class RobotOptions(MountingOptions):
+    """Mounting of a fixed base, wrist sensors, and contacts without a sensor.
 
     Raises
     ------
@@ -21,14 +21,6 @@ class RobotOptions:
         When a value is invalid.
     """
 
-    gravity: tuple[float, float, float] | None = option(
-        None,
-        "Direction of gravity in the axes of a fixed base, a vector of any length, such as 1 0 0 "
-        "for an arm on a wall.",
-        group=MOUNTING,
-        metavar="X Y Z",
-        unset="that of the model file, or another one that the efforts show without doubt",
-    )
     wrist_sensor: tuple[str, ...] = option(
         (),
         "Frame of each wrist force/torque sensor, as FRAME or FRAME:LINK with the first link "
@@ -48,9 +40,7 @@ class RobotOptions:
 
     def __post_init__(self) -> None:
         """Refuse invalid values."""
-        check_values(self)
-        if self.gravity is not None and not any(self.gravity):
-            raise OptionError("`gravity` has no direction; give a vector such as 0 0 -1", "E501")
+        super().__post_init__()
         for name in self.contacts:
             if not _is_kind(name.partition(":")[2]):
                 raise OptionError(

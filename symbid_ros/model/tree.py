@@ -1,5 +1,6 @@
 """A robot as a tree of links joined by revolute and prismatic joints."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.errors import ModelError
+from symbid_ros.errors import ModelError, OptionError
 
 if TYPE_CHECKING:
     from symbid_ros.model.bodies import Body
@@ -352,6 +353,27 @@ class RobotModel:
         """Return the same robot with the inertias (L, 10) of ``phi``."""
         links = tuple(replace(link, phi=row) for link, row in zip(self.links, phi, strict=True))
         return replace(self, links=links)
+
+    def with_gravity(self, direction: Sequence[float] | None) -> "RobotModel":
+        """Return the same robot on which gravity points in another direction (3,), in base axes.
+
+        It stays as it is if there is none.
+
+        Raises
+        ------
+        OptionError
+            When the base floats.
+        """
+        if direction is None:
+            return self
+        if self.floating:
+            raise OptionError(
+                "`gravity` is that of a fixed base; the IMU of a floating base measures it: leave "
+                "`gravity` out, or give `base` fixed",
+                "E503",
+            )
+        unit = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
+        return replace(self, gravity=np.linalg.norm(self.gravity) * unit)
 
     @cached_property
     def phi(self) -> FloatArray:

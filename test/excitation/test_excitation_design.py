@@ -199,10 +199,21 @@ def test_named_joints_move_alone(arm):
     ]
 
 
+def test_efforts_are_those_of_an_arm_on_its_wall(arm):
+    options = ExciteOptions(period=4.0, gravity=(3.0, 0.0, 0.0))
+    problem = excitation_problem(arm, options, SENSORS)
+    motion = TrajectoryOptimizer(problem.design, 0).draw()
+    samples = problem.design.expected.joints.samples(
+        problem.design.series.motion(motion, problem.design.time)
+    )
+    np.testing.assert_allclose(samples.base_specific_force, [[-9.81, 0, 0]] * len(samples))
+
+
 @pytest.mark.parametrize(
     ("base", "options", "code"),
     [
         ("floating", {}, "E581"),
+        ("floating", {"gravity": (1.0, 0.0, 0.0)}, "E503"),
         ("fixed", {"joints": ("elbow",)}, "E583"),
         ("fixed", {"joint_terms": ("stribeck",)}, "E501"),
     ],
