@@ -255,6 +255,7 @@ class Solver:
                 unexplained=self.unexplained,
                 measurements=self._measurements,
                 mass_scale=self._mass_scale(gain),
+                rows=float(self.chosen.counts.diagonal().sum()),
             )
         estimate = self._estimate(
             method,

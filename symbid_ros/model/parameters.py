@@ -21,6 +21,8 @@ from symbid_ros.model.wrist_sensors import COMPONENTS
 SPREAD = 0.618034
 # Start of the names of wrist sensors' offsets.
 OFFSET = "offset_"
+# Power of a mimic joint's multiplier with which these act on its leader.
+_FOLDED: dict[Term, int] = {"viscous": 2, "coulomb": 1, "armature": 2}
 _FIELDS = {term: each.field for term, each in JOINT_TERMS.items() if each.field}
 
 
@@ -259,11 +261,14 @@ class ParameterSet:
 
     @cached_property
     def values(self) -> FloatArray:
-        """(p,) parameters of the model file; joint terms that it does not give are zero."""
+        """(p,) parameters of the model file; joint terms that it does not give are zero.
+
+        Friction and armature of mimic joints act on their leader, and are part of its own.
+        """
         values = np.zeros(len(self))
         values[: self.inertial] = self.model.phi[self.links].ravel()
         for term, columns in self.term_columns.items():
-            values[columns] = [self._file_value(place, term) for place in self.joints]
+            values[columns] = [self._drive_value(place, term) for place in self.joints]
         return values
 
     @cached_property
@@ -334,6 +339,18 @@ class ParameterSet:
                         continue
                     joints[place] = replace(joints[place], **{_FIELDS[term]: value})
         return replace(self.model.with_phi(phi), joints=tuple(joints))
+
+    def _drive_value(self, joint: int, term: Term) -> float:
+        """Return what the model file states of a term of a joint and of all that mimic it."""
+        if term not in _FOLDED:
+            return self._file_value(joint, term)
+        if joint in self.model.followers:
+            return 0.0
+        return self._file_value(joint, term) + sum(
+            abs(mimic.multiplier) ** _FOLDED[term] * self._file_value(follower, term)
+            for follower, mimic in self.model.followers.items()
+            if mimic.leader == joint
+        )
 
     def _file_value(self, joint: int, term: Term) -> float:
         """Return what the model file states of a term that acts on the joint's measured effort."""

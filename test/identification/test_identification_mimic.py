@@ -7,13 +7,16 @@ import mujoco
 import numpy as np
 import pinocchio
 import pytest
+from drive_logs import samples_of
 from tree_simulation import TreeSimulation
 
+from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
-from symbid_ros.model.tree import Frame
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import Frame, Mimic
 from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.simulation.recording import record
 
@@ -107,3 +110,29 @@ def test_the_data_choose_the_terms_of_measured_joints_alone(gripper):
     assert not estimate.joint_terms[FINGERS[1]]
     fixed = {name for name in estimate.names if name.startswith(FINGERS[1])}
     assert fixed <= estimate.fixed
+
+
+def test_friction_that_the_file_states_of_followers_is_that_of_their_leader():
+    """Otherwise a gripper without friction needs a leader that drives itself."""
+    robot = load_model(PANDA, "fixed")
+    rng = np.random.default_rng(3)
+    joints = [
+        replace(joint, damping=a, friction_loss=b, armature=c)
+        for joint, (a, b, c) in zip(robot.joints, rng.uniform(0.1, 2.0, (9, 3)), strict=True)
+    ]
+    first, second = (robot.joint_names.index(name) for name in FINGERS)
+    joints[second] = replace(joints[second], mimic=Mimic(first, -1.7, 0.01))
+    robot = replace(robot, joints=tuple(joints))
+    free = ParameterSet(robot, ("viscous", "coulomb", "armature"))
+    assert not any(free.values[columns][second] for columns in free.term_columns.values())
+    motion = rng.standard_normal((3, 50, 9))
+    motion = [robot.apply_mimics(each, rates=order > 0) for order, each in enumerate(motion)]
+    samples = samples_of(robot, np.arange(50.0), *motion)
+    known, fitted = (equation_of_motion(one, samples) for one in (ParameterSet(robot), free))
+    np.testing.assert_allclose(
+        fitted.K @ free.values - fitted.y,
+        known.K @ ParameterSet(robot).values - known.y,
+        atol=1e-9,
+    )
+    again = ParameterSet(free.apply(free.values), free.terms)
+    np.testing.assert_allclose(again.values, free.values)

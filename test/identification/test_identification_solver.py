@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drive_logs import arm, drives, log_of
 from random_robots import CONFIG
 
+import symbid_ros as sy
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError, OptionError
 from symbid_ros.estimation.constraints import total_mass_row
@@ -376,3 +378,12 @@ def with_friction(parameters):
             getattr(friction[joint], field) for joint in parameters.model.joint_names
         ]
     return truth
+
+
+@pytest.mark.parametrize("push", [-1.5, 0.0])
+def test_drives_that_cannot_be_passive_raise_an_alarm(push):
+    """A torque along the speed is friction below zero, which no drive has."""
+    robot = arm(seed=2)
+    log = log_of(robot, drives(robot, viscous=0.1), extra=lambda velocity, _: push * velocity)
+    result = sy.identify(robot, log, unchecked=True, no_holdout=True, joint_terms="viscous")
+    assert any("drives that take power" in alarm for alarm in result.alarms) == bool(push)
