@@ -39,7 +39,8 @@ Options = TypeVar("Options", bound=RobotOptions)
 DENSE, MOST_BLOCKS = 8, 150
 WINDOWS = ALL_WINDOWS[2:]  # the first that suits the rate is used
 FEWEST_ROWS = 3  # per parameter of a link
-FEWEST_JOINTS = 2  # that turn; a wrong zero of a lone joint looks like another direction
+# Joints that turn: a wrong zero of a lone one looks like another direction, and many take long.
+FEWEST_JOINTS, MOST_JOINTS = 2, 40
 # Percent by which the model's inertias may be wrong, which are not those of a robot with a tool.
 WIDE = 100.0
 TERMS: tuple[Term, ...] = ("viscous", "coulomb", "armature", "offset")
@@ -56,6 +57,8 @@ GIVEN = 0.02
 PASSES = 3  # of the deviations of residuals
 STEPS, LONGEST_STEP, SMALLEST_STEP = 10, 0.3, 1e-4  # rad
 LEAST_RESIDUAL = 1e-3  # share of a joint's efforts
+LEAST_READ = 1e-3  # of a coordinate's efforts, relative to the largest
+LOOSE = 30.0  # prior deviation of friction, armature and offsets, in efforts of the joint
 KEPT = 2  # directions that are refined
 DIRECTIONS = np.array([one for one in product((-1.0, 0.0, 1.0), repeat=3) if any(one)])
 
@@ -103,7 +106,7 @@ def searches_gravity(options: RobotOptions, robot: RobotModel) -> bool:
     """Return whether the direction of gravity is searched for in a log of a robot."""
     turning = sum(joint.kind == "revolute" for joint in robot.joints)
     is_known = options.gravity is not None or bool(options.contacts)
-    return not robot.floating and not is_known and turning >= FEWEST_JOINTS
+    return not robot.floating and not is_known and FEWEST_JOINTS <= turning <= MOST_JOINTS
 
 
 def find_gravity(segments: Iterable[Segment], robot: RobotModel) -> FoundGravity | None:
@@ -219,12 +222,20 @@ class _Rows:
         return mean
 
     @cached_property
+    def read(self) -> FloatArray:
+        """(n,) root mean squares of the efforts; coordinates without effort count a little."""
+        count = np.maximum(self.valid.sum(axis=0), 1)
+        read = np.sqrt(np.sum(np.where(self.valid, self.y, 0.0) ** 2, axis=0) / count)
+        return np.asarray(np.maximum(read, max(LEAST_READ * float(read.max()), 1e-9)))
+
+    @cached_property
     def std(self) -> FloatArray:
-        """(p,) of the prior; friction and offsets are hardly limited."""
-        force = np.sqrt(np.mean(self.y[self.valid] ** 2))
-        std = np.full(self.K.shape[2], 1e3 * max(float(force), 1e-9))
+        """(p,) of the prior; what drives do is hardly limited."""
+        std = np.full(self.K.shape[2], LOOSE * self.read.max())
         links = self.parameters.link_phi(self.mean)
         std[: self.parameters.inertial] = np.concatenate([body_std(one, WIDE) for one in links])
+        for columns in self.parameters.term_columns.values():
+            std[columns] = LOOSE * self.read[self.parameters.joints]
         return np.asarray(np.maximum(std, 1e-9))
 
     def fit(self, more: FloatArray | None = None) -> _Fit:
@@ -236,26 +247,23 @@ class _Rows:
         if more is not None:
             K, extra = np.concatenate([K, more], axis=2), more.shape[2]
             mean, std = np.append(mean, np.zeros(extra)), np.append(std, np.ones(extra))
+        left = np.where(self.valid, self.y - K @ mean, 0.0)
         count = np.maximum(self.valid.sum(axis=0), 1)
-
-        def size(values: FloatArray) -> FloatArray:
-            kept = np.where(self.valid, values, 0.0)
-            return np.asarray(np.sqrt(np.sum(kept**2, axis=0) / count))
-
-        read = size(self.y)
-        least = LEAST_RESIDUAL * read + 1e-9
-        deviation = np.maximum(read, least)
-        x, left = np.zeros(len(mean)), self.y
+        # Moments of the rows of each coordinate; their weights change from pass to pass.
+        scaled = np.where(self.valid[..., None], K * std, 0.0).transpose(1, 2, 0)
+        H = scaled @ scaled.transpose(0, 2, 1)
+        g = np.einsum("jpn,nj->jp", scaled, left, optimize=True)
+        square = np.sum(left**2, axis=0)
+        deviation, x = self.read, np.zeros(len(std))
         for _ in range(PASSES):
-            A = (K / deviation[:, None])[self.valid]
-            b = (self.y / deviation)[self.valid] - A @ mean
-            scaled = np.concatenate([A * std, np.eye(len(std))])
-            x = np.linalg.lstsq(scaled, np.concatenate([b, np.zeros(len(std))]), rcond=None)[0]
-            left = self.y - K @ (mean + std * x)
-            deviation = np.maximum(size(left), least)
+            weight = deviation**-2
+            x = np.linalg.solve(np.tensordot(weight, H, axes=1) + np.eye(len(x)), weight @ g)
+            square_left = square + (H @ x - 2 * g) @ x
+            size = np.sqrt(np.maximum(square_left, 0.0) / count)
+            deviation = np.maximum(size, LEAST_RESIDUAL * self.read)
         theta = mean + std * x
         cost = float(count @ np.log(deviation) + x @ x / 2)
-        share = float(np.linalg.norm(size(left))) / max(float(np.linalg.norm(read)), 1e-9)
+        share = float(np.linalg.norm(size) / np.linalg.norm(self.read))
         return _Fit(theta, deviation, cost, share, self._dissipates(theta))
 
     def _dissipates(self, theta: FloatArray) -> bool:
@@ -263,10 +271,10 @@ class _Rows:
         columns = self.parameters.term_columns
         viscous, coulomb = columns["viscous"].start, columns["coulomb"].start
         taken = given = 0.0
-        for joint in range(len(self.parameters.model.joints)):
+        for place, joint in enumerate(self.parameters.joints.tolist()):
             K, y = self.K[self.valid[:, joint], joint], self.y[self.valid[:, joint], joint]
-            rate, sign = K[:, viscous + joint], K[:, coulomb + joint]
-            friction = theta[viscous + joint] * rate + theta[coulomb + joint] * sign
+            rate, sign = K[:, viscous + place], K[:, coulomb + place]
+            friction = theta[viscous + place] * rate + theta[coulomb + place] * sign
             taken += float(friction @ rate)
             given += float(np.abs(y) @ np.abs(rate))
         return taken > -GIVEN * given
