@@ -315,6 +315,8 @@ def alarms(
 
 def _contradicted_limits(posterior: Posterior, value: FloatArray, rows: float) -> tuple[str, ...]:
     """Return the alarm that possible links and drives hardly explain what others do explain."""
+    if rows < 1:
+        return ()
     moved = posterior.factor @ (value - posterior.mean)
     growth = float(np.sqrt(1.0 + moved @ moved / rows))
     if growth < SUSPICIOUS_GROWTH:

@@ -50,6 +50,8 @@ UNEXPLAINED = 0.1
 # Another direction has to be likelier by this many nats, and by this many for each row. What models
 # of real arms lack brings up to 0.13, with directions 1 to 4 degrees off.
 EVIDENCE, LEAST_GAIN = 50.0, 0.35
+# Largest wrong zero of an encoder, rad, and how far a direction turns otherwise.
+LARGEST_ZERO, ALONG = 0.26, 0.3
 # Efforts of which more is left are wrong in other ways.
 MOST_LEFT = 0.2
 # Friction may give the robot this share of the power that the efforts have, by chance.
@@ -142,10 +144,25 @@ def find_gravity(segments: Iterable[Segment], robot: RobotModel) -> FoundGravity
     gain = min(rivals) - fit.cost
     if gain < max(EVIDENCE, LEAST_GAIN * rows.valid.sum()):
         return None
-    if fit.unexplained > MOST_LEFT or not fit.dissipates:
+    if fit.unexplained > MOST_LEFT or not fit.dissipates or _is_wrong_zero(robot, best):
         return None
     x, y, z = best.tolist()
     return FoundGravity((x, y, z), own.unexplained, fit.unexplained)
+
+
+def _is_wrong_zero(robot: RobotModel, direction: FloatArray) -> bool:
+    """Return whether a wrong zero of the encoder of a first joint looks like this direction.
+
+    The base and all that it carries then turn about the joint's axis, by a small angle.
+    """
+    firsts = [joint for joint in robot.joints if joint.parent == 0 and joint.kind == "revolute"]
+    if len(firsts) != 1:
+        return False
+    down = robot.gravity / np.linalg.norm(robot.gravity)
+    axis, change = firsts[0].rotation @ firsts[0].axis, direction - down
+    size = float(np.linalg.norm(change))
+    lever = float(np.linalg.norm(np.cross(axis, down)))  # none if the axis is vertical
+    return size < LARGEST_ZERO * lever and abs(float(axis @ change)) < ALONG * size
 
 
 def _blocks(segments: Iterable[Segment]) -> Iterator[Segment]:

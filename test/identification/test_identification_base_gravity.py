@@ -85,6 +85,15 @@ def test_wrong_efforts_are_no_other_direction(ur5, factor) -> None:
     assert found_in(read, ur5) is None
 
 
+@pytest.mark.parametrize(("degrees", "is_found"), [(6.0, False), (40.0, True)])
+def test_a_wrong_zero_of_the_first_joint_is_no_other_direction(ur5, degrees, is_found) -> None:
+    """On a wall, both turn the arm about the axis of its first joint."""
+    read = streams_under(WALL)
+    position = read.joints.position + np.radians(degrees) * (np.arange(6) == 0)
+    read = replace(read, joints=replace(read.joints, position=position))
+    assert (found_in(read, ur5.with_gravity(WALL)) is not None) == is_found
+
+
 @pytest.fixture(scope="module")
 def result(ur5):
     return sy.identify(ur5, Log.from_streams(streams_under(WALL, seconds=40.0)))
