@@ -89,7 +89,7 @@ class FoundGravity:
         return " ".join(f"{one:.3f}" for one in self.direction)
 
     def message(self, source: str) -> str:
-        """Return what was found, in one line; ``source`` is the file of the model."""
+        """Return one line that compares this direction with that of the model file ``source``."""
         return (
             f"the efforts say that gravity points along ({', '.join(self.value.split())}) in the "
             f"base's axes, which leaves {100 * self.after:.2g} % of them unexplained; that of "
@@ -97,7 +97,7 @@ class FoundGravity:
         )
 
     def finding(self, source: str) -> Finding:
-        """Return the finding of the doctor; ``source`` is the file of the model."""
+        """Return the doctor's finding about the model file ``source``."""
         figures = {f"gravity_{axis}": one for axis, one in zip("xyz", self.direction, strict=True)}
         line = robot_file_line("gravity", *(round(one, 3) for one in self.direction))
         message = f"{self.message(source)}; give `gravity` {self.value}, or write {line}"
@@ -195,8 +195,6 @@ class _Fit:
     Attributes
     ----------
     theta : (p,) float64
-    deviation : (n,) float64
-        Of the residuals.
     cost : float
         Negative logarithm of the likelihood and the prior.
     unexplained : float
@@ -206,7 +204,6 @@ class _Fit:
     """
 
     theta: FloatArray
-    deviation: FloatArray
     cost: float
     unexplained: float
     dissipates: bool
@@ -219,7 +216,7 @@ class _Rows:
     Attributes
     ----------
     parameters : ParameterSet
-        θ (p,): links, viscous and Coulomb friction, offsets.
+        θ (p,): links, viscous and Coulomb friction, armature, offsets.
     K : (N, n, p) float64
     y : (N, n) float64
     valid : (N, n) bool
@@ -256,7 +253,7 @@ class _Rows:
         return np.asarray(np.maximum(std, 1e-9))
 
     def fit(self, more: FloatArray | None = None) -> _Fit:
-        """Return the best fit, with deviations of the residuals of each coordinate.
+        """Return the best fit; rows are weighted by the residuals of their coordinate.
 
         ``more`` (N, n, m) are columns of further unknowns with a prior deviation of one.
         """
@@ -281,7 +278,7 @@ class _Rows:
         theta = mean + std * x
         cost = float(count @ np.log(deviation) + x @ x / 2)
         share = float(np.linalg.norm(size) / np.linalg.norm(self.read))
-        return _Fit(theta, deviation, cost, share, self._dissipates(theta))
+        return _Fit(theta, cost, share, self._dissipates(theta))
 
     def _dissipates(self, theta: FloatArray) -> bool:
         """Return whether friction takes power, apart from what chance gives."""
