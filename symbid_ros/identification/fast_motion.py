@@ -331,6 +331,7 @@ def _fast_rows(solver: Solver, dataset: Dataset) -> Iterator[FastRows]:
         return
     parameters = replace(problem.parameters, candidates=False)
     used = ~_have_dry_friction(problem)
+    joints = used[6:]  # efforts of others have all frequencies where friction changes its sign
     blocks = len(stamp) * float(np.median(np.diff(stamp, prepend=stamp[0] - BLOCK))) / BLOCK
     index = 0
     for segment in segments:
@@ -342,7 +343,10 @@ def _fast_rows(solver: Solver, dataset: Dataset) -> Iterator[FastRows]:
         stride = int(np.ceil(blocks * size / MOST_KEPT))
         for block in cut_into_blocks(segment):
             index += 1
-            if index % stride == 0 and np.any(effort_powers(block, bands) > FAST * noise):
+            if index % stride:
+                continue
+            power = effort_powers(block, bands)[joints]
+            if np.any(power > FAST * noise[joints]):
                 found = FastRows.of(block, parameters, bands)
                 if found is not None:
                     yield replace(found, valid=found.valid & used)

@@ -30,15 +30,15 @@ def slow_moves(monkeypatch):
     monkeypatch.setattr(analytic_log, "FASTEST", 0.3)
 
 
-def log(seed, *, shaking=5.0, noise=NOISE, spoil=lambda segment: segment):
+def log(seed, *, robot=ROBOT, shaking=5.0, noise=NOISE, spoil=lambda segment: segment):
     """Return a solution from slow motion, and its log."""
-    segment = analytic_segment(ROBOT, 12, seed, shaking=shaking)
+    segment = analytic_segment(robot, 12, seed, shaking=shaking)
     segment = spoil(noisy(segment, np.random.default_rng(seed), **noise))
-    layout = RowLayout.of(ROBOT)
-    observations = observe([segment], equation_rows(ROBOT), layout, (0.161,))
-    prior = draw_prior(ROBOT, "percent", 25.0, seed)
-    solver = Solver.of(Problem(observations, ROBOT, prior))
-    return solver, Dataset("log", (segment,), probed(segment, ROBOT.model), observations)
+    layout = RowLayout.of(robot)
+    observations = observe([segment], equation_rows(robot), layout, (0.161,))
+    prior = draw_prior(robot, "percent", 25.0, seed)
+    solver = Solver.of(Problem(observations, robot, prior))
+    return solver, Dataset("log", (segment,), probed(segment, robot.model), observations)
 
 
 def normalised_square(solver):
@@ -72,6 +72,28 @@ def test_noise_of_the_motion_is_known_from_the_forces():
 def test_slow_motion_takes_no_further_step():
     solver, dataset = log(0, shaking=0.0)
     assert with_fast_motion(solver, dataset) is solver
+
+
+def test_dry_friction_is_not_taken_for_fast_motion():
+    """Where a joint reverses, its friction changes at once, which all frequencies contain."""
+    joint = 2
+
+    def rub(segment):
+        effort = segment.effort.copy()
+        velocity = np.gradient(segment.position[:, joint])
+        effort[:, joint] += 50.0 * np.sign(velocity)
+        return replace(segment, effort=effort)
+
+    model = replace(
+        ROBOT.model,
+        joints=tuple(
+            replace(each, friction_loss=50.0 * (index == joint))
+            for index, each in enumerate(ROBOT.model.joints)
+        ),
+    )
+    robot = ParameterSet(model, terms=("coulomb",))
+    solver, dataset = log(0, robot=robot, shaking=0.0, spoil=rub)
+    assert not list(_fast_rows(solver, dataset))
 
 
 def test_readings_without_noise_are_solved_from_slow_motion_alone():
