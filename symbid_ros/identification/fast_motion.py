@@ -36,8 +36,10 @@ logger = logging.getLogger(__name__)
 
 # Bytes of rows that are kept; of a longer log, blocks at equal distances are used.
 MOST_KEPT = 64 << 20
-# Power of an effort in the bands, over that of its noise, from which a block contains fast motion.
+# Power of the efforts in the bands over that of their noise, in the mean over the joints, from which
+# a block contains fast motion.
 FAST = 10.0
+PARTS = 4  # of a block, in at least half of which there is fast motion
 # Information, in bits, from which fast motion is used.
 LEAST_BITS = 3.0
 # Mean square of a band's normalised score, above which it contradicts the slow motion.
@@ -346,21 +348,31 @@ def _fast_rows(solver: Solver, dataset: Dataset) -> Iterator[FastRows]:
             if index % stride:
                 continue
             power = effort_powers(block, bands)[joints]
-            if np.any(power > FAST * noise[joints]):
+            if joints.any() and np.mean(power / noise[joints]) > FAST:
                 found = FastRows.of(block, parameters, bands)
                 if found is not None:
                     yield replace(found, valid=found.valid & used)
 
 
 def effort_powers(block: Segment, bands: Bands) -> FloatArray:
-    """Return the variances (J,) of white noise that had the efforts' power in the bands."""
+    """Return the variances (J,) of white noise that had the efforts' power in the bands.
+
+    It is the median of the powers in parts of the block, so that one impact does not count.
+    """
     effort = np.nan_to_num(block.effort - block.effort.mean(axis=0))
     window = np.hanning(len(block))
-    power = np.abs(np.fft.rfft(window[:, None] * effort, axis=0)) ** 2 / (window @ window)
+    spectrum = np.fft.rfft(window[:, None] * effort, axis=0)
     frequency = np.fft.rfftfreq(len(block), 1 / block.rate)
     some = np.abs(frequency - bands.frequencies.mean()) <= len(bands) * SPACING / 2
-    powers: FloatArray = power[some].mean(axis=0)
-    return powers
+    fast = np.fft.irfft(np.where(some[:, None], spectrum, 0.0), len(block), axis=0)
+    powers = [
+        np.sum(part**2, axis=0) / np.sum(weight**2)
+        for part, weight in zip(
+            np.array_split(fast, PARTS), np.array_split(window, PARTS), strict=True
+        )
+    ]
+    share: float = some.mean()
+    return np.asarray(np.median(powers, axis=0) / share)
 
 
 def _have_dry_friction(problem: Problem) -> BoolArray:
