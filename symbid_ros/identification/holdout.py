@@ -37,7 +37,7 @@ NEAR = 0.1
 REST = 0.01
 # Share of states that occurred before, from which a motion repeats.
 REPEATED = 0.9
-MOST_STATES = 20_000
+MOST_STATES, MOST_QUERIES = 20_000, 1_000
 # Verdicts with which the stated prior is tried.
 NOT_BETTER = "worse", "mixed", "unfit"
 PRIOR_KEPT = (
@@ -193,7 +193,7 @@ def repeated_share(training: Iterable[Segment], held_out: Iterable[Segment]) -> 
     if not moves.any():
         return 1.0
     queries = np.concatenate(after)[:, moves] / std[moves]
-    queries = queries[:: 1 + len(queries) // MOST_STATES]
+    queries = queries[:: 1 + len(queries) // MOST_QUERIES]
     paths = [one[:, moves] / std[moves] for one in before]
     stride = 1 + len(every) // MOST_STATES
     paths = [one[::stride] for one in paths]

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,14 @@ def count_messages(bags: Sequence[Path]) -> dict[Topic, int]:
 def _count_messages_of_file(file: Path) -> dict[Topic, int]:
     if file.suffix == SQLITE_SUFFIX:
         return dict(read_sqlite_summary(file).counts)
+    with report_damage(file):
+        state = file.stat()
+    return dict(_counts_of_mcap(file, state.st_size, state.st_mtime_ns))
+
+
+@lru_cache(maxsize=64)
+def _counts_of_mcap(file: Path, size: int, modified_ns: int) -> dict[Topic, int]:
+    """Return the counts in the state of the file that size and time of change tell."""
     with report_damage(file):
         summary = read_summary(file)
     stated = summary.statistics
