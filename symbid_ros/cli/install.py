@@ -68,7 +68,7 @@ def apply(
     file is read again and compared.
     """
     from symbid_ros.atomic_write import check_output_file, write_text
-    from symbid_ros.estimation.estimate import load_estimate
+    from symbid_ros.estimation.estimate_file import load_estimate
     from symbid_ros.identification.installation import inertials_yaml, install
 
     if robot is None and xacro_yaml is None:

@@ -112,7 +112,7 @@ def as_identified(log: LogOptions, results: list[Path]) -> LogOptions:
     SymbidError
         When a result is missing or malformed.
     """
-    from symbid_ros.estimation.estimate import load_estimate
+    from symbid_ros.estimation.estimate_file import load_estimate
 
     found = [load_estimate(folder / "estimate.json").provenance for folder in results]
     recorded = [{} if one is None else one.options for one in found]

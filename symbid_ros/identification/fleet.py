@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.estimation.estimate import load_estimate
+from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.fleet import Deviation, FleetEstimate, FleetMember, estimate_fleet
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.loaded_problem import load_information

@@ -13,7 +13,8 @@ import yaml
 from symbid_ros.atomic_write import write_text
 from symbid_ros.choices import JOINT_TERMS, Base
 from symbid_ros.errors import EstimateError, ModelError
-from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, load_estimate
+from symbid_ros.estimation.estimate import MODEL_FILES, Estimate
+from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.model.export_mjcf import updated_mjcf
 from symbid_ros.model.export_urdf import UNWRITTEN, urdf_text, with_nonnegative_terms
 from symbid_ros.model.inertia import com_from_phi

@@ -9,7 +9,8 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import load_deviation_factor
-from symbid_ros.estimation.estimate import Estimate, load_estimate
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.json_documents import versioned
 from symbid_ros.model.inertia import com_from_phi
 

@@ -14,7 +14,8 @@ from symbid_ros.dynamics.unmeasured_contacts import with_all_rows, with_contacts
 from symbid_ros.dynamics.upright import upward
 from symbid_ros.errors import EstimateError, OptionError, SymbidError
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings, load_estimate
+from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings
+from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, Processing, joined_segments
 from symbid_ros.identification.options import IdentifyOptions

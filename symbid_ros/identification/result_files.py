@@ -18,7 +18,8 @@ from symbid_ros.estimation.archive import (
     load_deviation_factor,
     write_archive,
 )
-from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, load_estimate
+from symbid_ros.estimation.estimate import MODEL_FILES, Estimate
+from symbid_ros.estimation.estimate_file import load_estimate, write_estimate
 from symbid_ros.estimation.prior import load_prior
 from symbid_ros.identification.report_data import FILE_NAME as REPORT_DATA
 from symbid_ros.identification.solver import Identification
@@ -71,15 +72,16 @@ def write_identification(
         When a file could not be written; the message names that file and those saved.
     """
     estimate = found.estimate
+    of_model = replace(
+        estimate,
+        model_file=_model_file(parameters.model),
+        base="floating" if parameters.model.floating else "fixed",
+    )
     results: dict[str, Callable[[Path], object]] = {
         "information.npz": lambda path: write_archive(
             path, found.observations, found.deviation_factor, found.calibration
         ),
-        "estimate.json": replace(
-            estimate,
-            model_file=_model_file(parameters.model),
-            base="floating" if parameters.model.floating else "fixed",
-        ).write,
+        "estimate.json": lambda path: write_estimate(path, of_model),
     }
     if found.report is not None:
         results[REPORT_DATA] = found.report.write

@@ -8,7 +8,8 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.estimate import Estimate, load_estimate
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification.prediction import ForcePredictor, load_result_robot
 from symbid_ros.identification.report_data import ReportData, load_report_data
 from symbid_ros.identification.report_series import report_data_of

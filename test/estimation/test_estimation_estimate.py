@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from expected_errors import raises_code
 
-from symbid_ros.estimation.estimate import Estimate, HoldOut, RowSettings, load_estimate
+from symbid_ros.estimation.estimate import Estimate, HoldOut, RowSettings
+from symbid_ros.estimation.estimate_file import estimate_document, load_estimate, write_estimate
 from symbid_ros.estimation.provenance import InputFile, Provenance
 from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
@@ -65,7 +66,7 @@ TRUNCATED = replace(ESTIMATE, std=None, determined=None, verdict=None, rank=2, k
 
 @pytest.mark.parametrize("estimate", [ESTIMATE, TRUNCATED], ids=["map", "truncated"])
 def test_an_estimate_is_read_as_it_was_written(estimate, tmp_path):
-    estimate.write(tmp_path / "estimate.json")
+    write_estimate(tmp_path / "estimate.json", estimate)
     found = load_estimate(tmp_path / "estimate.json")
     for field in fields(Estimate):
         value, expected = getattr(found, field.name), getattr(estimate, field.name)
@@ -76,7 +77,7 @@ def test_an_estimate_is_read_as_it_was_written(estimate, tmp_path):
 def test_files_without_unexplained_forces_are_read(tmp_path):
     """Earlier versions did not write them."""
     path = tmp_path / "estimate.json"
-    ESTIMATE.write(path)
+    write_estimate(path, ESTIMATE)
     document = json.loads(path.read_text())
     del document["verdict"]["unexplained"]
     path.write_text(json.dumps(document))
@@ -86,7 +87,7 @@ def test_files_without_unexplained_forces_are_read(tmp_path):
 def test_files_without_provenance_are_read(tmp_path):
     """Earlier versions wrote neither it nor a schema_version, and no units in keys."""
     path = tmp_path / "estimate.json"
-    ESTIMATE.write(path)
+    write_estimate(path, ESTIMATE)
     document = json.loads(path.read_text())
     assert document.pop("schema_version") == VERSIONS["estimate"]
     del document["provenance"]
@@ -101,7 +102,7 @@ def test_files_without_provenance_are_read(tmp_path):
 
 def test_files_of_a_later_release_are_refused(tmp_path):
     path = tmp_path / "estimate.json"
-    ESTIMATE.write(path)
+    write_estimate(path, ESTIMATE)
     document = json.loads(path.read_text())
     path.write_text(json.dumps(document | {"schema_version": VERSIONS["estimate"] + 1}))
     with raises_code("E475", "update symbid_ros"):
@@ -110,7 +111,7 @@ def test_files_of_a_later_release_are_refused(tmp_path):
 
 def test_the_file_has_one_entry_for_each_parameter(tmp_path):
     path = tmp_path / "estimate.json"
-    ESTIMATE.write(path)
+    write_estimate(path, ESTIMATE)
     assert path.read_text().endswith("}\n")
     assert '\n "method": "map_lmi",\n' in path.read_text()
     document = json.loads(path.read_text())
@@ -122,7 +123,7 @@ def test_the_file_has_one_entry_for_each_parameter(tmp_path):
         "unit": "kg",
         "determined": False,
     }
-    TRUNCATED.write(path)
+    write_estimate(path, TRUNCATED)
     document = json.loads(path.read_text())
     assert document["parameters"]["leg/m"]["std"] is None
     assert document["parameters"]["leg/m"]["determined"] is None
@@ -171,7 +172,7 @@ def with_entry(value, *path):
 )
 def test_a_damaged_estimate_is_named(change, names, tmp_path):
     path = tmp_path / "estimate.json"
-    document = ESTIMATE.document()
+    document = estimate_document(ESTIMATE)
     change(document)
     path.write_text(json.dumps(document))
     with raises_code("E409", rf"estimate\.json: .*{names}"):
@@ -180,7 +181,7 @@ def test_a_damaged_estimate_is_named(change, names, tmp_path):
 
 def test_files_of_earlier_versions_lack_known_terms(tmp_path):
     path = tmp_path / "estimate.json"
-    document = ESTIMATE.document()
+    document = estimate_document(ESTIMATE)
     del document["known"]
     path.write_text(json.dumps(document))
     assert load_estimate(path).known == {}

@@ -9,7 +9,7 @@ from random_logs import LogPlan, random_streams, small_robot
 
 import symbid_ros as sy
 from symbid_ros.errors import DataError
-from symbid_ros.estimation.estimate import load_estimate
+from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.holdout import repeated_share

@@ -14,7 +14,7 @@ from expected_errors import raises_code
 from written_results import write_result
 
 from symbid_ros.errors import SymbidError
-from symbid_ros.estimation.estimate import load_estimate
+from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification import installation
 from symbid_ros.identification.installation import inertials_yaml, install, unheld_terms
 from symbid_ros.model.load import load_model

@@ -7,7 +7,7 @@ import pytest
 from json_schemas import require_valid
 from written_results import write_result
 
-from symbid_ros.estimation.estimate import load_estimate
+from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification import link_changes
 from symbid_ros.identification.link_changes import principal_moments, robot_change
 from symbid_ros.model.inertia import com_from_phi

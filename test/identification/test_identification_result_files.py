@@ -11,7 +11,8 @@ from random_robots import random_robot
 
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import load_archive, write_archive
-from symbid_ros.estimation.estimate import Estimate, load_estimate
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.estimate_file import load_estimate, write_estimate
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
@@ -135,7 +136,7 @@ def estimate(parameters):
 
 
 def write(estimate, parameters, folder, factor):
-    estimate.write(folder / "estimate.json")
+    write_estimate(folder / "estimate.json", estimate)
     observations = Observations.empty(RowLayout.of(parameters), 0.1)
     write_archive(folder / "information.npz", [observations], factor)
 
@@ -189,7 +190,7 @@ def test_a_prior_has_values_only(parameters, tmp_path):
 
 
 def test_another_robot_is_refused(parameters, estimate, tmp_path):
-    estimate.write(tmp_path / "estimate.json")
+    write_estimate(tmp_path / "estimate.json", estimate)
     with pytest.raises(EstimateError, match=r"estimate\.json") as caught:
         load_estimated_model(tmp_path, random_robot(4, links=4))
     assert caught.value.code == "E512"

@@ -6,6 +6,7 @@ from pathlib import Path
 from drawn_estimates import drawn_estimate
 
 from symbid_ros.choices import Base
+from symbid_ros.estimation.estimate_file import write_estimate
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.provenance import InputFile, Provenance
 from symbid_ros.identification.result_files import export_mjcf, export_urdf
@@ -33,7 +34,7 @@ def write_result(folder: Path, source: Path, seed: int = 0, base: Base = "auto")
         provenance=PROVENANCE,
     )
     folder.mkdir()
-    estimate.write(folder / "estimate.json")
+    write_estimate(folder / "estimate.json", estimate)
     (folder / "model.urdf").write_text(export_urdf(estimate, parameters))
     for place, text in export_mjcf(estimate, parameters, folder).items():
         (folder / place).parent.mkdir(parents=True, exist_ok=True)
