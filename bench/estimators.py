@@ -35,6 +35,7 @@ from symbid_ros.bags import bag_log, read_streams, read_truth
 from symbid_ros.choices import METHODS
 from symbid_ros.estimation.directions import determined_directions
 from symbid_ros.estimation.prior import Prior, draw_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.evaluation import TrueMotion, evaluate
 from symbid_ros.identification.intervals import HALF_WIDTH, summarise_intervals
@@ -214,7 +215,7 @@ def identified(
 ) -> Iterator[tuple[LoadedProblem, Identification]]:
     """Yield the log's problem and estimate under each prior; the log is read once."""
     first, tare, estimated = log.parent / "prior.json", log.parent / "tare", CASES[case][2]
-    priors[0].write(first)
+    write_prior(first, priors[0])
     # The checks of the log allow for what is estimated.
     options = IdentifyOptions(prior=first, sensor_errors=estimated)
     if case == "tracked":

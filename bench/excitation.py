@@ -29,6 +29,7 @@ import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.base_parameters import base_parameters
 from symbid_ros.estimation.prior import planning_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.excitation.files import write_plan
 from symbid_ros.excitation.optimizer import TrajectoryOptimizer
 from symbid_ros.excitation.options import ExciteOptions
@@ -166,7 +167,7 @@ def rehearse(
     known = plan.determined & [name.partition("/")[0] not in passive for name in names]
     ratios, own = [], []
     prior = Path(folder.name) / "prior.json"
-    planning_prior(problem.parameters).write(prior)
+    write_prior(prior, planning_prior(problem.parameters))
     print("| truth | rms of error/expected σ | of error/σ of the estimate | alarms |")
     print("|---|---|---|---|", flush=True)
     for seed in range(draws):

@@ -34,6 +34,7 @@ from std_srvs.srv import Trigger
 
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -119,7 +120,7 @@ def run(folder: Path, graph: dict[str, str], motion: dict[str, Any], period: flo
     has_errors = "errors" in motion
     if has_errors:
         prior = draw_prior(ParameterSet(load_model(MODEL)), "percent", 25.0, motion["error_seed"])
-        prior.write(folder / "prior.json")
+        write_prior(folder / "prior.json", prior)
         identify |= WEIGHED | {"prior": f"{folder}/prior.json", "sensor_errors": ["typical"]}
         # Without the wrench of the hook, which only the tare has.
         identify["wrench_topic"] = ["/left_foot/wrench", "/right_foot/wrench"]

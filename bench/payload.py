@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from symbid_ros.bags import Recording
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector
 from symbid_ros.model.load import load_model
@@ -157,7 +158,7 @@ def _snapshots(
     parameters = ParameterSet(load_model(MODEL))
     with tempfile.TemporaryDirectory() as folder:
         record(simulator, Path(folder) / "bag")
-        draw_prior(parameters, "percent", 25, seed).write(Path(folder) / "prior.json")
+        write_prior(Path(folder) / "prior.json", draw_prior(parameters, "percent", 25, seed))
         recording = Recording.of([Path(folder) / "bag"])
         selector = TopicSelector("live", TopicSelection())
         topics = {name: Topic(name, one.msgtype) for name, one in recording.topics.items()}

@@ -21,6 +21,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.intervals import summarise_intervals
 from symbid_ros.identification.options import IdentifyOptions
@@ -78,7 +79,7 @@ class Bench:
         model = load_model(MODEL)
         self.parameters = ParameterSet(model)
         self.prior = folder / "prior.json"
-        draw_prior(self.parameters, "percent", 25.0, seed).write(self.prior)
+        write_prior(self.prior, draw_prior(self.parameters, "percent", 25.0, seed))
         ideal = folder / "ideal"
         record(Simulator(SimulateOptions("smooth", motion_seed=seed + 1, ideal=True)), ideal)
         self.motion = read_true_motion([ideal], model)[::10]

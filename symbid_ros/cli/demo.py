@@ -135,10 +135,13 @@ def draw_demo_prior(out: Path, model: Path, percent: float, seed: int) -> None:
     folder of an interrupted demo.
     """
     from symbid_ros.estimation.prior import draw_prior
+    from symbid_ros.estimation.prior_file import write_prior
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
 
-    draw_prior(ParameterSet(load_model(model)), "percent", percent, seed).write(out / "prior.json")
+    write_prior(
+        out / "prior.json", draw_prior(ParameterSet(load_model(model)), "percent", percent, seed)
+    )
 
 
 def simulate_validation(bag: Path, moves: int, progress: Progress) -> None:

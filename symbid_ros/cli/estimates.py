@@ -47,6 +47,7 @@ def prior(
 ) -> None:
     """Draw a random prior around the inertias of a model, to test an identification."""
     from symbid_ros.estimation.prior import Kind, draw_prior
+    from symbid_ros.estimation.prior_file import write_prior
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
 
@@ -60,7 +61,7 @@ def prior(
         raise PriorError("give exactly one of --percent, --absolute and --consistent", "E555")
     kind, amount = chosen[0]
     drawn = draw_prior(ParameterSet(load_model(model, base)), kind, amount, seed)
-    drawn.write(out)
+    write_prior(out, drawn)
     typer.echo(f"{out}: {len(drawn.names)} parameters of {drawn.model}, {drawn.kind}, seed {seed}")
 
 

@@ -26,7 +26,7 @@ MEMORY = 10.0
 
 def write_wrong_model(out: Path, model: Path) -> Path:
     """Write ``wrong.xml``, the model with the values of the prior in the folder."""
-    from symbid_ros.estimation.prior import load_prior
+    from symbid_ros.estimation.prior_file import load_prior
     from symbid_ros.model.export_mjcf import mjcf_text
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet

@@ -1,16 +1,12 @@
-"""Gaussian prior of the parameters: drawn, taken from a model file, written and read."""
+"""Gaussian prior of the parameters: drawn, or taken from a model file."""
 
-import json
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.atomic_write import write_text
-from symbid_ros.choices import TERMS
 from symbid_ros.errors import PriorError
 from symbid_ros.estimation.prior_std import (
     absolute_std,
@@ -22,11 +18,8 @@ from symbid_ros.estimation.prior_std import (
     percent_std,
     term_scale,
 )
-from symbid_ros.json_documents import versioned
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.xml_file import LARGEST
-from symbid_ros.user_files import load_json
 
 Kind = Literal["percent", "absolute", "consistent"]
 
@@ -37,9 +30,6 @@ _CERTAINTY = 1e-10
 
 # Variance that each parameter keeps if all others of its link are known, of its floor.
 REGULARIZATION = 1e-6
-
-# A billionth of the moment of inertia of a gram within a millimetre, 1e-9 kg m².
-LEAST_STD = 1e-18
 
 
 @dataclass(frozen=True)
@@ -194,35 +184,6 @@ class Prior:
             factor=factor,
             alone=None if self.alone is None else np.concatenate([self.alone, std]),
         )
-
-    def write(self, path: Path) -> None:
-        """Write prior.json.
-
-        Raises
-        ------
-        PriorError
-            When a mass is negative, which :func:`load_prior` rejects.
-        """
-        for name, value in zip(self.names, self.mean, strict=True):
-            if name.endswith("/m") and value < 0:
-                raise PriorError(
-                    f"{path}: not written, as {name} came out as {value:.3g} kg; choose another "
-                    "seed or a smaller half-width",
-                    "E407",
-                )
-        parameters = {
-            name: {"value": float(value), "std": float(std)}
-            for name, value, std in zip(self.names, self.mean, self.std, strict=True)
-        }
-        document: dict[str, object] = {
-            "model": self.model,
-            "kind": self.kind,
-            "seed": self.seed,
-            "parameters": parameters,
-        }
-        if self.factor is not None:
-            document["covariance_factor"] = self.factor.tolist()
-        write_text(path, json.dumps(versioned("prior", document), indent=1) + "\n")
 
 
 def _triangular(root: FloatArray) -> FloatArray:
@@ -444,87 +405,3 @@ def _consistent(
     S = turn @ np.diag(1 + rng.uniform(-half_width, half_width, 4)) @ turn.T
     drawn = root @ S @ root.T
     return phi_from_pseudo_inertia(drawn), consistent_std(root, half_width)
-
-
-def load_prior(path: Path, parameters: ParameterSet) -> Prior:
-    """Read prior.json and check that it belongs to the model.
-
-    The file may contain more or fewer joint terms than ``parameters``. Terms not in use are
-    marginalised, and missing terms are those of :func:`model_prior`.
-
-    Raises
-    ------
-    PriorError
-        When the file is missing or malformed, belongs to another model or is not a distribution.
-    """
-    try:
-        document = load_json(path)
-    except OSError as error:
-        raise PriorError(
-            f"{path}: cannot read it ({error.strerror}); check the path", "E401"
-        ) from None
-    except ValueError as error:
-        raise PriorError(
-            f"{path}: not a prior.json ({error}); write one with `symbid prior`", "E402"
-        ) from None
-    try:
-        model, entries = document["model"], document["parameters"]
-        values = {name: (float(e["value"]), float(e["std"])) for name, e in entries.items()}
-        kind, seed = str(document["kind"]), document["seed"]
-        rows = document.get("covariance_factor")
-        factor = None if rows is None else np.array(rows, dtype=float)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise PriorError(
-            f"{path}: not a prior.json ({reason}); write one with `symbid prior`", "E402"
-        ) from None
-    _check_belongs(path, model, values, parameters)
-    _check_size(path, values)
-    mean, std = np.array(list(values.values())).T
-    try:
-        read = Prior(model, kind, seed, tuple(values), mean, std, factor)
-        return read.for_columns(parameters)
-    except PriorError as error:
-        raise PriorError(f"{path}: {error}", error.code) from None
-
-
-def _check_size(path: Path, values: dict[str, tuple[float, float]]) -> None:
-    """Reject values outside a robot's range, whose squares would overflow or underflow."""
-    for name, (value, std) in values.items():
-        if abs(value) > LARGEST:
-            raise PriorError(
-                f"{path}: {name} has value {value:g}, outside a robot's range; give at most "
-                f"{LARGEST:g} in SI units",
-                "E404",
-            )
-        if value < 0 and name.endswith("/m"):
-            raise PriorError(
-                f"{path}: {name} has value {value:g}; give a mass of 0 kg or more", "E404"
-            )
-        if 0 < std < LEAST_STD or std > LARGEST:
-            raise PriorError(
-                f"{path}: {name} has std {std:g}; give one from {LEAST_STD:g} to {LARGEST:g}, or "
-                "drop `prior` and give `prior_percent`",
-                "E404",
-            )
-
-
-def _check_belongs(
-    path: Path, model: str, values: dict[str, tuple[float, float]], parameters: ParameterSet
-) -> None:
-    robot = parameters.model
-    inertial = parameters.names[: parameters.inertial]
-    missing = [name for name in inertial if name not in values]
-    known = set(ParameterSet(robot, TERMS).names)
-    unknown = [name for name in values if name not in known]
-    if model != robot.name or missing or unknown:
-        detail = f"the name of that model is {robot.name!r}"
-        if missing:
-            detail = f"the prior lacks {missing[0]}"
-        elif unknown:
-            detail = f"that model has no {unknown[0]}"
-        raise PriorError(
-            f"{path}: this prior is for model {model!r}, not for {robot.source} ({detail}); draw "
-            f"one with `symbid prior --model {robot.source}`",
-            "E403",
-        )

@@ -12,6 +12,7 @@ import yaml
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import staged, write_text
 from symbid_ros.bags import BagWriter
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.excitation.page import render_page
 from symbid_ros.excitation.plan import ExcitationPlan
 from symbid_ros.excitation.rehearsal import PLAN_FILE
@@ -64,7 +65,7 @@ def write_plan(plan: ExcitationPlan, out: Path) -> None:
         write_text(stage / PLAN_FILE, json.dumps(document(plan), indent=1) + "\n")
         write_text(stage / PAGE, render_page(plan))
         if plan.problem.prior is not None:
-            plan.problem.prior.write(stage / PRIOR_FILE)
+            write_prior(stage / PRIOR_FILE, plan.problem.prior)
         _write_bag(plan, stage / BAG)
         other = replace(plan, coefficients=plan.validation)
         write_text(stage / VALIDATION_FILE, csv_text(other))

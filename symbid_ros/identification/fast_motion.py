@@ -36,8 +36,8 @@ logger = logging.getLogger(__name__)
 
 # Bytes of rows that are kept; of a longer log, blocks at equal distances are used.
 MOST_KEPT = 64 << 20
-# Power of the efforts in the bands over that of their noise, in the mean over the joints. From it on,
-# a block contains fast motion.
+# Power of the efforts in the bands over that of their noise, in the mean over the joints, from
+# which on a block contains fast motion.
 FAST = 10.0
 PARTS = 4  # of a block, in at least half of which there is fast motion
 # Information, in bits, from which fast motion is used.

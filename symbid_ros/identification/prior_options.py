@@ -11,13 +11,8 @@ from symbid_ros.errors import EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.constraints import mirror_rows, total_mass_row
 from symbid_ros.estimation.posterior import PseudoMeasurements
-from symbid_ros.estimation.prior import (
-    Prior,
-    absolute_model_prior,
-    default_prior,
-    load_prior,
-    model_prior,
-)
+from symbid_ros.estimation.prior import Prior, absolute_model_prior, default_prior, model_prior
+from symbid_ros.estimation.prior_file import load_prior
 from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.stored_information import columns_of

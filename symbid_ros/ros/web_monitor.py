@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.estimation.prior import load_prior
+from symbid_ros.estimation.prior_file import load_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.formatting import with_std

@@ -12,6 +12,7 @@ from symbid_ros.estimation.archive import write_archive
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import model_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import WINDOWS
@@ -136,7 +137,7 @@ def test_an_invalid_option(fails, good, given, says) -> None:
 def test_an_invalid_prior(fails, good, model, tmp_path, std) -> None:
     path = tmp_path / "prior.json"
     parameters = ParameterSet(load_model(model))
-    model_prior(parameters).write(path)
+    write_prior(path, model_prior(parameters))
     prior = json.loads(path.read_text())
     name = parameters.names[7]
     prior["parameters"][name]["std"] = std

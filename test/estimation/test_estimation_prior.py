@@ -19,9 +19,9 @@ from symbid_ros.estimation.prior import (
     consistent_prior,
     default_prior,
     draw_prior,
-    load_prior,
     model_prior,
 )
+from symbid_ros.estimation.prior_file import load_prior, write_prior
 from symbid_ros.estimation.prior_std import percent_floor
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
@@ -152,7 +152,7 @@ def test_same_seed_same_prior_and_it_survives_the_file(symbitron, tmp_path):
         one, two = (draw_prior(symbitron, kind, amount, 3) for _ in range(2))
         np.testing.assert_array_equal(one.mean, two.mean)
         path = tmp_path / f"{kind}.json"
-        one.write(path)
+        write_prior(path, one)
         read = load_prior(path, symbitron)
         np.testing.assert_array_equal(read.mean, one.mean)
         np.testing.assert_array_equal(read.std, one.std)
@@ -281,7 +281,7 @@ def with_factor(prior, seed=0):
 
 def test_a_covariance_survives_the_file(symbitron, tmp_path):
     prior = with_factor(draw_prior(symbitron, "percent", 25, 3))
-    prior.write(tmp_path / "prior.json")
+    write_prior(tmp_path / "prior.json", prior)
     read = load_prior(tmp_path / "prior.json", symbitron)
     np.testing.assert_array_equal(read.factor, prior.factor)
     np.testing.assert_array_equal(read.covariance_factor(), prior.factor)
@@ -304,7 +304,7 @@ def test_a_covariance_is_marginalised_to_the_columns_in_use(driven, terms, tmp_p
         prior.std[order],
         np.linalg.cholesky(covariance[np.ix_(order, order)]),
     )
-    shuffled.write(tmp_path / "prior.json")
+    write_prior(tmp_path / "prior.json", shuffled)
     parameters = ParameterSet(driven.model, terms)
     read = load_prior(tmp_path / "prior.json", parameters)
     assert read.names == parameters.names
@@ -346,7 +346,7 @@ def test_errors_of_an_invalid_covariance_name_the_cause(case, symbitron, tmp_pat
     change, message = BAD_FACTORS[case]
     path = tmp_path / "prior.json"
     prior = with_factor(draw_prior(symbitron, "percent", 25, 3))
-    prior.write(path)
+    write_prior(path, prior)
     document = json.loads(path.read_text())
     document["covariance_factor"] = np.asarray(change(prior.factor), dtype=object).tolist()
     path.write_text(json.dumps(document))
@@ -359,7 +359,7 @@ def test_errors_of_an_invalid_covariance_name_the_cause(case, symbitron, tmp_pat
 
 def test_a_prior_without_friction_serves_a_model_with_it(symbitron, tmp_path):
     path = tmp_path / "prior.json"
-    draw_prior(symbitron, "percent", 25, 3).write(path)
+    write_prior(path, draw_prior(symbitron, "percent", 25, 3))
     prior = load_prior(path, ParameterSet(symbitron.model, ("viscous", "coulomb")))
     assert len(prior.mean) == 130
     np.testing.assert_array_equal(prior.mean[110:], 0)
@@ -368,7 +368,7 @@ def test_a_prior_without_friction_serves_a_model_with_it(symbitron, tmp_path):
 
 def test_a_prior_with_joint_terms_serves_a_model_without(driven, tmp_path):
     prior = draw_prior(driven, "percent", 25, 3)
-    prior.write(tmp_path / "prior.json")
+    write_prior(tmp_path / "prior.json", prior)
     links = load_prior(tmp_path / "prior.json", ParameterSet(driven.model))
     np.testing.assert_array_equal(links.mean, prior.mean[: driven.inertial])
     both = load_prior(tmp_path / "prior.json", driven)
@@ -434,7 +434,7 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_errors_of_an_invalid_prior_name_the_cause(case, symbitron, tmp_path):
     path = tmp_path / "prior.json"
-    draw_prior(symbitron, "percent", 25, 3).write(path)
+    write_prior(path, draw_prior(symbitron, "percent", 25, 3))
     change, message = BAD[case]
     path.write_text(change(json.loads(path.read_text())))
     with pytest.raises(PriorError, match=message) as caught:
@@ -458,7 +458,7 @@ def test_a_draw_with_a_negative_mass_is_not_written(symbitron, tmp_path):
         if (prior := draw_prior(symbitron, "absolute", 0.3, seed)).mean[::10].min() < 0
     )
     with pytest.raises(PriorError, match=r"/m came out as -.* kg; choose another seed or a sm"):
-        drawn.write(tmp_path / "prior.json")
+        write_prior(tmp_path / "prior.json", drawn)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -470,7 +470,7 @@ SIZES = [0.0, 5e-324, 1e-300, 1e-18, 1e-9, 1e-3, 1e5, 1e9, 1e200, 1e308]
 def test_a_prior_with_any_numbers_is_used_or_rejected_in_one_line(data, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "prior.json"
     log = gaussian_log(0, links=2)
-    draw_prior(log.parameters, "percent", 25, 0).write(path)
+    write_prior(path, draw_prior(log.parameters, "percent", 25, 0))
     document = json.loads(path.read_text())
     names = st.sampled_from(sorted(document["parameters"]))
     for name in data.draw(st.lists(names, min_size=1, max_size=3)):

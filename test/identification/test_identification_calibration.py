@@ -15,6 +15,7 @@ from symbid_ros.choices import KINEMATIC_ERRORS, TYPICAL_ERRORS
 from symbid_ros.errors import DataError, OptionError, SymbidError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.identification.calibration import SensorErrorRequest, calibrate
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.options import IdentifyOptions
@@ -54,7 +55,7 @@ def folder(tmp_path_factory):
 def wrong(folder):
     """Record a tare and a log of one robot with errors in all sensors; return these errors."""
     parameters = ParameterSet(load_model(MODEL))
-    draw_prior(parameters, "percent", 25, 3).write(folder / "prior.json")
+    write_prior(folder / "prior.json", draw_prior(parameters, "percent", 25, 3))
     drives = folder / "friction.yaml"
     drives.write_text(yaml.safe_dump(dict.fromkeys(parameters.model.joint_names, DRIVES)))
     robot = {"errors": "typical", "error_seed": 11, "friction_file": drives}

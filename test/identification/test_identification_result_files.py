@@ -16,6 +16,7 @@ from symbid_ros.estimation.estimate_file import load_estimate, write_estimate
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import (
     check_output,
@@ -182,7 +183,7 @@ def test_a_covariance_of_other_parameters_is_refused(parameters, estimate, tmp_p
 def test_a_prior_has_values_only(parameters, tmp_path):
     links = ParameterSet(parameters.model)
     prior = draw_prior(links, "percent", 10, 1)
-    prior.write(tmp_path / "prior.json")
+    write_prior(tmp_path / "prior.json", prior)
     found = load_estimated_model(tmp_path / "prior.json", parameters.model)
     np.testing.assert_array_equal(found.values, prior.mean)
     assert (found.estimate, found.deviation_factor) == (None, None)

@@ -15,6 +15,7 @@ from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.posterior import CONVERGED, posterior
 from symbid_ros.estimation.prior import Prior, draw_prior, model_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
 from symbid_ros.identification.dataset import Processing
@@ -50,7 +51,9 @@ def folder(tmp_path_factory):
     resting = Simulator(SimulateOptions("tare", noise_seed=6))
     resting.steps = 2000
     record(resting, folder / "rest")
-    draw_prior(ParameterSet(load_model(MODEL)), "percent", 25, 3).write(folder / "prior.json")
+    write_prior(
+        folder / "prior.json", draw_prior(ParameterSet(load_model(MODEL)), "percent", 25, 3)
+    )
     return folder
 
 

@@ -5,6 +5,7 @@ import pytest
 from tree_simulation import TreeSimulation
 
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import write_identification
@@ -24,7 +25,7 @@ def tree(request, tmp_path_factory, tree_log):
     (folder / "robot.xml").write_text(mjcf_text(robot))
     truth = ParameterSet(load_model(folder / "robot.xml"))
     record(TreeSimulation(robot, 0.8, seed + 100), folder / "other")
-    draw_prior(truth, "percent", 25, seed).write(folder / "prior.json")
+    write_prior(folder / "prior.json", draw_prior(truth, "percent", 25, seed))
     return folder, log, truth
 
 

@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
@@ -64,7 +65,7 @@ def test_identification_by_the_node_equals_that_of_the_command(
     bag = simulated("smooth", moves=1, motion_seed=21, noise_seed=5)
     model = config_file("symbitron.xml")
     parameters = ParameterSet(load_model(model))
-    draw_prior(parameters, "percent", 25, 4).write(tmp_path / "prior.json")
+    write_prior(tmp_path / "prior.json", draw_prior(parameters, "percent", 25, 4))
     given = {"model": model, "prior": tmp_path / "prior.json"}
 
     received: dict[str, object] = {}
