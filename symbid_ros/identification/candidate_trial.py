@@ -41,8 +41,14 @@ class Trial:
 
 
 def leaves_residuals(solver: Solver) -> bool:
-    """Return whether the residuals with the chosen terms are correlated, so that effects lack."""
-    return solver.problem.choice is not None and solver.whiteness >= SUSPICIOUS_WHITENESS
+    """Return whether residuals are correlated with the chosen terms, so that drives may have more.
+
+    It is False if no effort was measured.
+    """
+    choice = solver.problem.choice
+    if choice is None or not choice.measured.any():
+        return False
+    return solver.whiteness >= SUSPICIOUS_WHITENESS
 
 
 def training_part(solver: Solver, dataset: Dataset) -> Iterable[Segment]:

@@ -59,6 +59,9 @@ class TermChoice:
         With all candidates.
     free : (p,) bool
         Parameters that are identified: all of links, the chosen ones of joints.
+    measured : (d,) bool
+        Driven joints that have rows. Values that the model file states for the others are free,
+        and no evidence chose them.
     remarks : tuple of str
         What this robot or log cannot tell, one sentence each: parameters that act alike, joints
         that hardly moved.
@@ -74,6 +77,7 @@ class TermChoice:
 
     parameters: ParameterSet
     free: BoolArray
+    measured: BoolArray
     remarks: tuple[str, ...] = ()
     slips: bool = False
     deviations: FloatArray | None = None
@@ -106,7 +110,11 @@ class TermChoice:
         """The chosen terms of each joint and coupling."""
         columns, names = self.parameters.term_columns, self.parameters.model.joint_names
         joints: dict[str, tuple[str, ...]] = {
-            names[joint]: tuple(term for term, place in columns.items() if self.free[place][index])
+            names[joint]: tuple(
+                term
+                for term, place in columns.items()
+                if self.free[place][index] and self.measured[index]
+            )
             for index, joint in enumerate(self.parameters.joints)
         }
         for one in self.parameters.further_columns:
@@ -172,9 +180,14 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
         for term, column in coupled.items():
             slipping[column] = term in SLIDING_TERMS
     everything = np.ones(len(parameters), bool)
+    measured = _measured_joints(problem.observations, parameters)
     for columns in parameters.term_columns.values():
         # They act on the leader's row alone, like the leader's own terms.
         everything[columns] = ~np.isin(parameters.joints, list(parameters.model.followers))
+        everything[columns] &= measured | stated[columns]
+    unmeasured = joints_without_rows(problem.observations[0], parameters)
+    if not measured.any():
+        return TermChoice(parameters, everything, measured, unmeasured)
     selections = []
     # With friction in the model file, a joint may stick even if no joint of the log slips.
     if _any_slips(problem.observations, parameters) or np.any(stated & slipping):
@@ -194,8 +207,9 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
     return TermChoice(
         parameters,
         free,
+        measured,
         (
-            *joints_without_rows(problem.observations[0], parameters),
+            *unmeasured,
             *resting_joints(problem.observations, parameters),
             *replaceable_terms(parameters, free),
             *inseparable_terms(selections[0].inseparable, parameters, free),
@@ -323,6 +337,14 @@ def rows_of(observations: Sequence[Observations], *, slips: bool) -> tuple[Obser
         return tuple(observations)
     some = [one.slipping for one in observations if one.slipping is not None]
     return tuple(one for one in some if one.rows.samples > 0)
+
+
+def _measured_joints(observations: Sequence[Observations], parameters: ParameterSet) -> BoolArray:
+    """Return which driven joints (d,) have rows."""
+    if parameters.model.contacts is not None:
+        return np.ones(len(parameters.joints), bool)  # combinations contain all joints
+    rows = 6 * parameters.model.floating + parameters.joints
+    return np.asarray(np.any([one.counts.diagonal()[rows] > 0 for one in observations], axis=0))
 
 
 def _any_slips(observations: Sequence[Observations], parameters: ParameterSet) -> bool:

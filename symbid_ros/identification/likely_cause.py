@@ -356,13 +356,13 @@ class _LeftOutBlocks:
         They are that of each coordinate (n,), and that of all after whitening.
         """
         used = self._columns(*causes)
-        some = np.append(used, -1)
         everything = self._whitened.sum(axis=0)
         each, total = np.zeros(self._moments.shape[1]), 0.0
         for moments, whitened in zip(self._moments, self._whitened, strict=True):
-            x = np.append(-self._solve(everything - whitened, used), 1.0)
-            each += (moments[:, some][:, :, some] @ x) @ x
-            total += float(x @ whitened[np.ix_(some, some)] @ x)
+            x = np.zeros(len(everything))
+            x[used], x[-1] = -self._solve(everything - whitened, used), 1.0
+            each += (moments @ x) @ x
+            total += float(x @ whitened @ x)
         return each, total
 
     def coefficients(self, cause: Candidate) -> FloatArray:

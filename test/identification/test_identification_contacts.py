@@ -283,6 +283,12 @@ def test_wrenches_alone_identify_a_robot_whose_drives_measure_nothing(robot, tru
         "no usable effort, so their friction, armature and offset remain unknown"
     )
     assert not any(terms for terms in found.estimate.joint_terms.values())
+    rubbing = replace(robot, joints=tuple(replace(joint, damping=0.06) for joint in robot.joints))
+    stated = identify(rubbing, log, no_holdout=True, unchecked=True, window=0.321)
+    assert not any(terms for terms in stated.estimate.joint_terms.values())
+    assert [joint.damping for joint in stated.robot.joints] == pytest.approx(
+        [0.06] * len(robot.joints)
+    )
     named = identify(robot, log, friction=True, no_holdout=True, unchecked=True, window=0.321)
     assert named.estimate.remarks == found.estimate.remarks
     assert not any(one.is_determined for name, one in named.parameters.items() if "viscous" in name)
