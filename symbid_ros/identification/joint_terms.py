@@ -73,6 +73,8 @@ class TermChoice:
     signed_drives : bool
         Whether armature and the slope of friction may be negative, because the efforts contradict
         positive ones.
+    window : float or None
+        Length of the windows of the rows that chose, s; None if no joint has rows.
     """
 
     parameters: ParameterSet
@@ -82,6 +84,7 @@ class TermChoice:
     slips: bool = False
     deviations: FloatArray | None = None
     signed_drives: bool = False
+    window: float | None = None
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -218,6 +221,7 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
         slips,
         last.deviations(),
         signed,
+        last.rows.window,
     )
 
 

@@ -427,12 +427,26 @@ def _build_solver(
         earlier = with_columns(load_archive(options.information), parameters)
         both = merged_observations(problem.observations, earlier, str(options.information))
         problem = replace(problem, observations=both)
-    if parameters.candidates:
-        choice = choose_terms(problem if factors is None else with_fixed_gains(problem))
+    if not parameters.candidates:
+        return Solver.of(problem, is_trial=is_trial)
+
+    def with_terms(window: float | None = None) -> Problem:
+        """Return the problem with the terms that all rows ask for, or those of one window."""
+        rows = tuple(one for one in problem.observations if window in (None, one.window))
+        some = replace(problem, observations=rows)
+        choice = choose_terms(some if factors is None else with_fixed_gains(some))
         if factors is not None:
-            problem = without_terms(problem, dataset, choice.free)
-        problem = replace(choice.applied(problem), choice=choice)
-    return Solver.of(problem, is_trial=is_trial)
+            some = without_terms(some, dataset, choice.free)
+        return replace(choice.applied(some), choice=choice)
+
+    solver = Solver.of(with_terms(), is_trial=is_trial)
+    choice = solver.problem.choice
+    if choice is None or choice.window in (None, solver.chosen.window):
+        return solver
+    # Noise may spoil the rows of short windows for all candidates together, and not for the chosen
+    # ones. Rows that are used choose the terms as well.
+    again = replace(with_terms(solver.chosen.window), stored=solver.problem.stored)
+    return Solver.of(again, is_trial=is_trial)
 
 
 def _initial_factors(

@@ -107,6 +107,9 @@ BANDS = 8
 LOWEST = 0.1
 # Magnitude of the expected minimum of eight standard normal variables, for the quietest band.
 LEAST_OF_BANDS = 1.4236
+# Share of the powers that hold no harmonic at least, the multiple of the mean power above which one
+# is taken for a harmonic, and repetitions.
+QUIET, EXCISION, EXCISIONS = 0.2, 3.0, 6
 
 
 @dataclass(frozen=True)
@@ -373,7 +376,8 @@ def _decimator(rate: float, low_pass: LowPass, edge: int, shortest: float) -> De
 def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
     """Return the standard deviation (c,) of the white noise in signals (N, c).
 
-    The spectrum of white noise is flat, so its level in one quiet band holds for all bands.
+    The spectrum of white noise is flat, so its level in one quiet band holds for all bands. A
+    periodic gait has harmonics in each of them, and its noise is the level between these.
     """
     frequency, power = power_spectrum(channel, rate)
     edges = np.searchsorted(frequency, np.linspace(LOWEST * rate, rate / 2, BANDS + 1))
@@ -382,8 +386,24 @@ def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
         return np.zeros(channel.shape[1])
     # Neighbouring bins of a Hann window are correlated: about half of them are independent.
     chance = LEAST_OF_BANDS / np.sqrt(max((edges[-1] - edges[0]) / BANDS / 1.94, 4.0))
-    deviation: FloatArray = np.sqrt(bands.min(axis=0) / (1 - chance))
+    quietest = bands.min(axis=0) / (1 - chance)
+    deviation: FloatArray = np.sqrt(np.minimum(quietest, _level_between_lines(power[edges[0] :])))
     return deviation
+
+
+def _level_between_lines(power: FloatArray) -> FloatArray:
+    """Return the mean (c,) of exponentially distributed powers (F, c), of which some are lines.
+
+    Powers far above the mean of the others are left out, again and again (consecutive mean
+    excision; Henttu and Aromaa 2002, ISSSTA).
+    """
+    level = np.quantile(power, QUIET, axis=0) / -np.log1p(-QUIET)
+    # Mean of an exponential distribution up to EXCISION times its mean, over that mean.
+    kept_mean = 1 - EXCISION / np.expm1(EXCISION)
+    for _ in range(EXCISIONS):
+        kept = power <= EXCISION * level
+        level = np.sum(power * kept, axis=0) / np.maximum(kept.sum(axis=0), 1) / kept_mean
+    return np.asarray(level)
 
 
 def add_noise(segment: Segment, channels: Sequence[Channel]) -> Segment:

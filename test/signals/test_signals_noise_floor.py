@@ -45,6 +45,17 @@ def test_vibration_in_some_bands_is_not_counted_as_noise():
     np.testing.assert_allclose(noise_deviation(shaken, RATE), 1.0, rtol=0.1)
 
 
+@pytest.mark.parametrize("steps", [2.1, 3.05])
+def test_harmonics_of_a_gait_are_not_counted_as_noise(steps):
+    """A trot with impacts fills every band with lines, at any rate."""
+    rate, count = 100.0, 400
+    rng, time = np.random.default_rng(5), np.arange(count) / rate
+    orders = np.arange(1, int(rate / 2 / steps))
+    gait = np.sum(np.sin(2 * np.pi * np.outer(time, steps * orders) + orders) / orders, axis=1)
+    found = noise_deviation(10 * gait[:, None] + rng.standard_normal((count, 200)), rate)
+    assert np.sqrt(np.mean(found**2)) == pytest.approx(1.0, abs=0.15)
+
+
 @pytest.mark.parametrize("size", [0.0, 1.0])
 def test_an_exact_channel_has_no_noise(size):
     channel = slow_motion(np.random.default_rng(4), size)
