@@ -45,15 +45,22 @@ def bag_log(
     part : TimeRange
         Part of the recording.
     """
-    if model is not None:
-        topics = replace(topics, joint_names=model.measured_joint_names)
+    names = topics.joint_names if model is None else model.measured_joint_names
+    return _log_of(bags, replace(topics, joint_names=names, logged=set()), part)
+
+
+def _log_of(bags: Sequence[Path], topics: TopicSelection, part: TimeRange) -> Log:
+    """Return the log in bags, which shares the set of its logged warnings with the selection."""
 
     def read(span: int | None, warn: bool) -> Iterator[Slice]:
         return iterate_slices(bags, topics, span=span, part=part, warn=warn)
 
     def other(bags: tuple[Path, ...]) -> Log:
         count_messages(bags)
-        return bag_log(bags, model, topics)
+        return bag_log(bags, topics=topics)
+
+    def of_robot(robot: RobotModel) -> Log:
+        return _log_of(bags, replace(topics, joint_names=robot.measured_joint_names), part)
 
     def frames() -> tuple[FixedTransform, ...]:
         mapping = topics.mapping
@@ -67,7 +74,14 @@ def bag_log(
             for one in transforms
         )
 
-    return Log(join_names(bags), tuple(bags), _read=read, _open=other, _frames=frames)
+    return Log(
+        join_names(bags),
+        tuple(bags),
+        _read=read,
+        _open=other,
+        _frames=frames,
+        _of_robot=None if topics.joint_names else of_robot,
+    )
 
 
 def read_static_transforms(bags: Sequence[Path]) -> tuple[FixedTransform, ...]:

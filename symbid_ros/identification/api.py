@@ -87,6 +87,7 @@ def diagnose(
     options = options or _options(RobotOptions, fields)
     if robot is None:
         return doctor.diagnose(log)
+    log = log.of_robot(robot)
     robot = log.applied_to(robot)
     options = with_assumed_contacts(options, robot, log)
     robot = with_robot_options(robot, options)

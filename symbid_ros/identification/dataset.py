@@ -92,7 +92,7 @@ class AlignedLog:
         watch: Callable[[Segment], None] | None = None,
         jobs: int = 1,
     ) -> None:
-        self._log, self._model = log, model
+        self._log, self._model = log.of_robot(model), model
         self._span, self._most_kept = span, most_kept
         self._checks, self._watch, self._jobs = checks, watch, jobs
         self._kept: SegmentStore | None = None

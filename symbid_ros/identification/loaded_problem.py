@@ -226,6 +226,7 @@ def load_problem(
         When a file, the data or an option is invalid.
     """
     options = options or IdentifyOptions()
+    log = log.of_robot(robot)
     robot = log.applied_to(robot)
     if read is None and not options.tare:
         options = with_assumed_contacts(options, robot, log)

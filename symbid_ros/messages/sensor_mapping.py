@@ -138,11 +138,14 @@ class HeldJoints:
         Where the user holds joints, rad (m).
     is_live : bool
         Whether the states come from a running robot.
+    logged : set of str
+        Warnings that are not logged again.
     """
 
     needed: tuple[str, ...] = ()
     positions: Mapping[str, float] = field(default_factory=dict)
     is_live: bool = False
+    logged: set[str] = field(default_factory=set)
     _held: dict[str, float] | None = None
 
     def added_to(self, stream: JointStream, source: str) -> JointStream:
@@ -174,17 +177,18 @@ class HeldJoints:
         if self.is_live or is_foreign:
             return {name: self.positions[name] for name in missing if name in self.positions}
         if unnamed:
-            logger.warning(
-                "%s: %s has no joint %s, held at 0; give the position by `hold_joint` "
-                "%s:=POSITION, or its name in the log by `rename_joint` NAME:=%s, or write %s",
-                source,
-                stream.topic,
-                ", ".join(unnamed),
-                unnamed[0],
-                unnamed[0],
-                robot_file_line("hold_joint", *(f"{name}:=0.0" for name in unnamed)),
+            self._warn(
+                f"{source}: {stream.topic} has no joint {', '.join(unnamed)}, held at 0; give the "
+                f"position by `hold_joint` {unnamed[0]}:=POSITION, or its name in the log by "
+                f"`rename_joint` NAME:={unnamed[0]}, or write "
+                + robot_file_line("hold_joint", *(f"{name}:=0.0" for name in unnamed))
             )
         return {name: self.positions.get(name, 0.0) for name in missing}
+
+    def _warn(self, message: str) -> None:
+        if message not in self.logged:
+            self.logged.add(message)
+            logger.warning("%s", message)
 
 
 def _pairs(option: str, entries: tuple[str, ...], read: Callable[[str], T | None]) -> dict[str, T]:

@@ -88,6 +88,8 @@ class TopicSelection:
         Odometry and PoseStamped topics of tracked frames.
     drives : tuple of str
         Odometry or Imu topics of wheeled bases.
+    logged : set of str
+        Warnings about the log so far. Each is logged once, however often the log is read.
     """
 
     joints: tuple[str, ...] | None = None
@@ -97,6 +99,7 @@ class TopicSelection:
     joint_names: tuple[str, ...] = ()
     poses: tuple[str, ...] = ()
     drives: tuple[str, ...] = ()
+    logged: set[str] = field(default_factory=set, repr=False, compare=False)
 
     @classmethod
     def of(cls, options: LogOptions) -> "TopicSelection":
@@ -131,7 +134,7 @@ class SelectedTopics:
         Topics by sensor type; at least one has joint states.
     flags : tuple of Topic
         Topics that tell whether a contact touches anything. Their messages have no stamp.
-    mapping, joint_names
+    mapping, joint_names, logged
         As in `TopicSelection`.
     is_live : bool
         Whether the topics are those of a running robot.
@@ -146,6 +149,7 @@ class SelectedTopics:
     poses: tuple[Topic, ...] = ()
     flags: tuple[Topic, ...] = ()
     drives: tuple[Topic, ...] = ()
+    logged: set[str] = field(default_factory=set, repr=False, compare=False)
 
     @cached_property
     def recorded_joints(self) -> frozenset[str]:
@@ -155,7 +159,7 @@ class SelectedTopics:
     @cached_property
     def held_joints(self) -> HeldJoints:
         """Joints of the model that this recording lacks."""
-        return HeldJoints(self.joint_names, self.mapping.held, self.is_live)
+        return HeldJoints(self.joint_names, self.mapping.held, self.is_live, self.logged)
 
     @property
     def all(self) -> tuple[Topic, ...]:
@@ -244,6 +248,7 @@ class TopicSelector:
             poses=tuple(self._find_named(name, *POSES) for name in self.selection.poses),
             drives=drives,
             flags=tuple(self._find_named(name, BOOL) for name in self.selection.mapping.flagged),
+            logged=self.selection.logged,
         )
         for topic in (*chosen.all, *chosen.flags):
             if not self.counts[topic]:

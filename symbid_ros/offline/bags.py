@@ -46,7 +46,8 @@ def load_bag(
     bags : str, Path or sequence of these
         A bag (folder or file), or several of one robot, in any order.
     robot : RobotModel, optional
-        Its joints must be in the log.
+        Robot of the log; joints that the log lacks are held. By default the robot with which the
+        log is used.
     options : LogOptions, optional
         Topics and part of the bag to read.
     **fields

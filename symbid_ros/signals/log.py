@@ -60,6 +60,14 @@ class Log:
     _frames: Callable[[], tuple[FixedTransform, ...]] = field(
         default=tuple, repr=False, kw_only=True
     )
+    _of_robot: "Callable[[RobotModel], Log] | None" = field(default=None, repr=False, kw_only=True)
+
+    def of_robot(self, robot: RobotModel) -> "Log":
+        """Return the log as one of this robot: the joints that it lacks are held.
+
+        The log itself if it was read for a robot already, or has arrays.
+        """
+        return self if self._of_robot is None else self._of_robot(robot)
 
     def applied_to(self, robot: RobotModel) -> RobotModel:
         """Return a robot with the frames that the log says are fixed to its links."""

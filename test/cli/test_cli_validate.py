@@ -5,11 +5,16 @@ import re
 
 import numpy as np
 import pytest
+from arm_log import arm_streams
+from documented_robots import ur5_urdf
+from foreign_bags import joint_state, joints_only
 from json_schemas import require_valid
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+import symbid_ros as sy
 from symbid_ros.bags import read_truth
+from symbid_ros.model.load import load_model
 
 
 @pytest.fixture(scope="module")
@@ -130,3 +135,65 @@ def test_errors_are_one_line_and_status_2(symbid_here, ideal, tmp_path) -> None:
         ended = symbid_here(*words)
         assert (ended.returncode, ended.stdout) == (2, "")
         assert ended.stderr.count("\n") == 1
+
+
+WRIST = "wrist_3_joint"
+
+
+@pytest.fixture(scope="module")
+def wristless(tmp_path_factory) -> list:
+    """Two bags of an arm whose last joint rests at 0 and is not recorded."""
+    arm = load_model(ur5_urdf(), "fixed")
+    bags = []
+    for seed in (1, 2):
+        read = arm_streams(arm, 12.0, seed, friction=0.05, resting=[WRIST]).joints
+        kept = [place for place, name in enumerate(read.names) if name != WRIST]
+        names = [read.names[place] for place in kept]
+        columns = read.position[:, kept], read.velocity[:, kept], read.effort[:, kept]
+        rows = zip(read.stamp, *columns, strict=True)
+        messages = [joint_state(int(stamp), names, *row) for stamp, *row in rows]
+        bags.append(joints_only(tmp_path_factory.mktemp("arm") / f"bag_{seed}", *messages))
+    return bags
+
+
+@pytest.fixture(scope="module")
+def wristless_result(symbid_here, wristless, tmp_path_factory):
+    out = tmp_path_factory.mktemp("arm_result") / "result"
+    options = ("--base", "fixed", "--joint-terms", "viscous,coulomb", "--no-holdout")
+    ended = symbid_here("identify", wristless[0], "--model", ur5_urdf(), *options, "--out", out)
+    assert ended.returncode < 2, ended.stderr
+    assert ended.stderr.count(f"has no joint {WRIST}, held at 0") == 1
+    return out
+
+
+@pytest.mark.parametrize("held", [(), ("--hold-joint", f"{WRIST}:=0.0")], ids=["default", "named"])
+def test_a_joint_that_neither_log_has_is_held_as_in_the_identification(
+    symbid_here, wristless, wristless_result, held
+) -> None:
+    ended = symbid_here("validate", wristless_result, "--bag", wristless[1], *held)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stderr.count(f"has no joint {WRIST}, held at 0") == (not held)
+    ranked = symbid_here("compare", *[wristless_result] * 2, "--bag", wristless[1], *held)
+    assert ranked.returncode == 0, ranked.stderr
+    assert ranked.stderr.count(f"has no joint {WRIST}, held at 0") == (not held)
+
+
+def test_a_log_that_was_read_without_a_robot_is_one_of_the_robot_it_is_used_with(
+    wristless, wristless_result
+) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    alone, named = sy.load_bag(wristless[1]), sy.load_bag(wristless[1], arm)
+    found, expected = (sy.validate(wristless_result, log) for log in (alone, named))
+    assert found.is_better
+    assert found.verdict == expected.verdict
+    assert sy.diagnose(arm, alone).severity == sy.diagnose(arm, named).severity
+    given = {"joint_terms": ("viscous", "coulomb"), "no_holdout": True}
+    result = sy.identify(arm, alone, **given)
+    assert result.predict(alone).rmse == pytest.approx(result.predict(named).rmse)
+
+
+def test_the_doctor_says_once_that_a_joint_is_held(symbid_here, wristless) -> None:
+    options = ("--model", ur5_urdf(), "--base", "fixed")
+    ended = symbid_here("bag", "doctor", wristless[0], *options)
+    assert ended.returncode < 2, ended.stdout
+    assert ended.stderr.count(f"has no joint {WRIST}, held at 0") == 1
