@@ -23,7 +23,7 @@ from symbid_ros.identification.report_series import (
     report_data,
 )
 from symbid_ros.identification.solver import Identification
-from symbid_ros.identification.validation import describe_change, validate_segments
+from symbid_ros.identification.validation import validate_segments
 from symbid_ros.identification.warming import during
 from symbid_ros.progress import report
 from symbid_ros.signals.segments import RemoteSegments, Segment, split
@@ -156,7 +156,7 @@ def _hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOu
     predictor = ForcePredictor.of(trial.solve(), trial.parameters)
     found = validate_segments(predictor, trace.of(held_out), f"{dataset.source}, its end")
     repeats = repeated_share(training, held_out)
-    summary = f"{describe_change(found.main)} on the last {found.seconds:.0f} s"
+    summary = f"{found.change} on the last {found.seconds:.0f} s"
     if found.advice == "worse":
         summary += ", worse than the original model"
     elif found.advice == "unfit":

@@ -117,6 +117,8 @@ class Validation:
     verdict : str
         The same as a sentence with figures.
     efforts : PredictedEfforts
+    deciding : tuple of ForceError
+        Errors by which the advice was chosen; ``main`` is one of them.
     """
 
     result: str
@@ -137,6 +139,7 @@ class Validation:
     advice: Advice
     verdict: str
     efforts: PredictedEfforts = field(repr=False, compare=False)
+    deciding: tuple[ForceError, ...] = ()
 
     @property
     def is_better(self) -> bool:
@@ -145,7 +148,7 @@ class Validation:
 
     @property
     def main(self) -> ForceError:
-        """The error that the verdict states: of all joints, or of the base without efforts."""
+        """The error that every verdict states: of all joints, or of the base without efforts."""
         found = self.base_force if self.torque is None else self.torque
         assert found is not None  # a log has rows of the joints or of the base
         return found
@@ -159,6 +162,11 @@ class Validation:
     def percent_after(self) -> float | None:
         """Error of the identified model, percent of the measured torque."""
         return self.main.percent_after
+
+    @property
+    def change(self) -> str:
+        """The errors by which the advice was chosen, before and after."""
+        return ", ".join(describe_change(one) for one in self.deciding or (self.main,))
 
     @property
     def groups(self) -> tuple[ForceError, ...]:
@@ -376,6 +384,7 @@ def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validati
     )
     if found.percent_after is not None and found.percent_after >= NO_MODEL:
         found = replace(found, advice="unfit")
+    found = replace(found, deciding=tuple(errors[name] for name in _deciding(found, changes)))
     return replace(found, verdict=_verdict(found, changes))
 
 
@@ -386,6 +395,17 @@ def _advice(changes: Mapping[str, ErrorChange]) -> Advice:
     return "better" if is_better else "equal"
 
 
+def _deciding(found: Validation, changes: Mapping[str, ErrorChange]) -> list[str]:
+    """Return which errors tell a reader why the advice was chosen, the main one among them."""
+    main = found.main.name
+    smaller = [name for name, change in changes.items() if change.is_decrease]
+    larger = [name for name, change in changes.items() if change.is_increase]
+    if found.advice == "mixed":
+        return [name for name in changes if name == main or name in smaller + larger]
+    others = {"better": smaller, "worse": larger}.get(found.advice, [])
+    return [main] if main in others else [*others, main]
+
+
 def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
     used = f"on {found.seconds:.0f} s that were not used"
     if found.seconds_used > 0:
@@ -394,15 +414,18 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
             f"{found.seconds_used:.0f} s; repeat this with another log"
         )
     worse = " and ".join(name for name, change in changes.items() if change.is_increase)
+    better = [name for name, change in changes.items() if change.is_decrease]
     start = {
-        "better": "use it",
+        "better": "use it"
+        if found.main.name in better
+        else f"use it, {' and '.join(better)} got better",
         "equal": "hardly differs from the original",
         "worse": "do not use it, it is worse than the original",
         "mixed": f"do not use it yet, {worse} got worse",
         "unfit": "do not use it, it errs by more than was measured (give the robot file, units and "
         "signs of the identification)",
     }[found.advice]
-    return f"{start}: {describe_change(found.main)} {used}"
+    return f"{start}: {found.change} {used}"
 
 
 def _ranking_verdict(pair: Sequence[Validation], data: Sequence[ForceRows]) -> str:
@@ -429,10 +452,20 @@ def describe_change(error: ForceError) -> str:
     """Describe an error before and after, in percent if anything was measured."""
     if error.percent_before is None or error.percent_after is None:
         return f"{error.rmse_before:.3g} → {error.rmse_after:.3g} {error.unit}"
-    forces = {BASE_FORCE: "force on the base", WRIST_SENSORS: "wrist forces"}
+    forces = {
+        BASE_MOMENT: "moment on the base",
+        BASE_FORCE: "force on the base",
+        WRIST_SENSORS: "wrist forces",
+    }
     what = forces.get(error.name, "torque")
-    before, after = percent(error.percent_before), percent(error.percent_after)
-    return f"{before} → {after} of the measured {what}"
+    change = percent_change(error.percent_before, error.percent_after)
+    return f"{change} of the measured {what}"
+
+
+def percent_change(before: float, after: float) -> str:
+    """Format two percentages, with a third digit where two do not show the difference."""
+    pair = f"{percent(before)} → {percent(after)}"
+    return pair if percent(before) != percent(after) else f"{before:.3g} % → {after:.3g} %"
 
 
 def percent(value: float | None) -> str:

@@ -11,7 +11,7 @@ from symbid_ros.estimation.estimate import Estimate, HoldOut
 from symbid_ros.identification.force_errors import RELEVANT
 from symbid_ros.identification.holdout import REPEATED
 from symbid_ros.identification.report_data import ReportData
-from symbid_ros.identification.validation import percent
+from symbid_ros.identification.validation import percent, percent_change
 from symbid_ros.report.content import PRIOR, MethodResult, ReportContent
 from symbid_ros.report.formatting import ABSENT, significant, with_std
 from symbid_ros.report.robot_summary import RobotSummary
@@ -117,11 +117,12 @@ def change_on_held_out_data(estimate: Estimate) -> str:
     """Return the error on held-out data, such as "torque error on data held out 9 % → 1 %"."""
     holdout = estimate.holdout
     assert holdout is not None
-    if holdout.percent_before is None or holdout.percent_after is None:
+    before, after = holdout.percent_before, holdout.percent_after
+    has_several = holdout.summary.count("→") > 1  # the advice is about another error
+    if before is None or after is None or has_several:
         return f"error on data held out {holdout.summary.partition(' on the last')[0]}"
     what = "torque" if "torque" in holdout.summary else "force"
-    before, after = percent(holdout.percent_before), percent(holdout.percent_after)
-    return f"{what} error on data held out {before} → {after}"
+    return f"{what} error on data held out {percent_change(before, after)}"
 
 
 @dataclass(frozen=True)

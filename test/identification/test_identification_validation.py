@@ -1,11 +1,14 @@
 """A result is judged on a log that was not used: errors, intervals, mass and verdict."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from analytic_log import analytic_samples
+from hypothesis import given
+from hypothesis import strategies as st
 from random_logs import LogPlan, random_streams, small_robot
 
 import symbid_ros as sy
@@ -13,7 +16,7 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.force_errors import compare_errors
 from symbid_ros.identification.prediction import ForcePredictor
-from symbid_ros.identification.validation import compare
+from symbid_ros.identification.validation import compare, percent, percent_change
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
@@ -150,6 +153,60 @@ def test_a_model_that_was_right_hardly_differs(arm) -> None:
     found = sy.validate(result, arm.held_out)
     assert (found.advice, found.is_better) == ("equal", False)
     assert found.verdict.startswith("hardly differs from the original")
+
+
+@pytest.fixture(scope="module")
+def wrong_trunk(walker) -> sy.RobotModel:
+    """A model whose only error, in the first link, shows in the wrench on the base alone."""
+    parameters = ParameterSet(walker.robot)
+    phi = walker.robot.phi.copy()
+    phi[0, 1:4] += 0.05 * phi[0, 0]
+    return parameters.model.with_phi(phi)
+
+
+def figures(verdict: str) -> list[tuple[str, str]]:
+    """Return the errors before and after that a verdict shows."""
+    return re.findall(r"([0-9.e-]+ %) → ([0-9.e-]+ %)", verdict)
+
+
+def test_a_model_that_is_better_at_the_base_alone_shows_its_errors_there(
+    walker, wrong_trunk
+) -> None:
+    found = sy.validate(identify(wrong_trunk, walker.training), walker.held_out)
+    assert found.torque.rmse_after == pytest.approx(found.torque.rmse_before, rel=0.05)
+    assert (found.advice, found.is_better) == ("better", True)
+    assert found.verdict.startswith("use it, base moment and base force got better: ")
+    moment = found.base_moment
+    (before, after), _, torque = figures(found.verdict)
+    assert (before, after) == (percent(moment.percent_before), percent(moment.percent_after))
+    assert "of the measured moment on the base, " in found.verdict
+    assert torque == tuple(percent_change(found.percent_before, found.percent_after).split(" → "))
+
+
+def test_a_model_that_is_worse_at_the_base_alone_shows_its_errors_there(
+    walker, wrong_trunk
+) -> None:
+    """The trunk carried a load while the log was recorded."""
+    loaded = log_of(wrong_trunk, TRAINING)
+    found = sy.validate(identify(walker.robot, loaded), walker.held_out)
+    assert found.torque.rmse_after == pytest.approx(found.torque.rmse_before, rel=0.05)
+    assert (found.advice, found.is_better) == ("worse", False)
+    before, after = figures(found.verdict)[0]
+    moment = found.base_moment
+    assert (before, after) == (percent(moment.percent_before), percent(moment.percent_after))
+
+
+def test_a_model_that_is_better_at_the_joints_shows_their_error_alone(walker) -> None:
+    found = sy.validate(walker.identified(), walker.held_out)
+    assert found.deciding == (found.torque,)
+    assert found.verdict.startswith("use it: ")
+    assert len(figures(found.verdict)) == 1
+
+
+@given(before=st.floats(0.01, 150), share=st.floats(1.05, 2.0))
+def test_a_relevant_change_shows_in_the_digits(before: float, share: float) -> None:
+    first, second = percent_change(before, before / share).split(" → ")
+    assert first != second
 
 
 OPTIONS = [
