@@ -22,37 +22,51 @@ ALIASES = {
     "sole": "foot",
 }
 LEAST = 0.5  # smallest similarity of a match
+ANY = 1e-9  # of a guess
 
 
-def match_names(recorded: Sequence[str], wanted: Sequence[str]) -> tuple[dict[str, str], bool]:
+def match_names(
+    recorded: Sequence[str], wanted: Sequence[str]
+) -> tuple[dict[str, str], tuple[str, ...]]:
     """Match names one to one.
 
     Equal names match first, then names whose words agree, such as ``arm_elbow`` and
-    ``elbow_joint``. What remains is matched in its order if the counts are equal, such as ``j1`` to
-    ``j6`` and the six joints of an arm.
+    ``elbow_joint``. What remains is guessed if the counts are equal: names that share any word
+    first, such as ``wrist_pitch`` and ``wrist_flex``, then the rest in its order, such as ``j1`` to
+    ``j6`` and the six joints of an arm. Names that differ by their numbers alone have the order of
+    these, others that of the log, as drivers usually list joints from the base to the tip.
 
     Parameters
     ----------
     recorded, wanted : sequence of str
-        Names in a log and in a model.
+        Names in a log and in a model, each in its order.
 
     Returns
     -------
     matches : dict of str to str
         Names in the model by names in the log.
-    is_certain : bool
-        Whether no match relies on the order.
+    guessed : tuple of str
+        Names in the log whose match is a guess.
     """
     found = {name: name for name in recorded if name in wanted}
-    found |= _similar(
-        [name for name in recorded if name not in found],
-        [name for name in wanted if name not in found.values()],
-    )
-    left = [name for name in recorded if name not in found]
-    open_ = [name for name in wanted if name not in found.values()]
-    if not left or len(left) != len(open_):
-        return found, True
-    return found | dict(zip(sorted(left, key=_natural), open_, strict=True)), False
+    found |= _similar(*_unmatched(recorded, wanted, found))
+    left, open_ = _unmatched(recorded, wanted, found)
+    if len(left) != len(open_):
+        return found, ()
+    found |= _similar(left, open_, least=ANY)
+    rest, open_ = _unmatched(recorded, wanted, found)
+    if len({re.sub(r"\d+", "0", name) for name in rest}) == 1:
+        rest.sort(key=_natural)
+    return found | dict(zip(rest, open_, strict=True)), tuple(left)
+
+
+def _unmatched(
+    recorded: Sequence[str], wanted: Sequence[str], found: Mapping[str, str]
+) -> tuple[list[str], list[str]]:
+    taken = set(found.values())
+    return [one for one in recorded if one not in found], [
+        one for one in wanted if one not in taken
+    ]
 
 
 def most_similar(name: str, context: str, wanted: Sequence[str]) -> str | None:
@@ -61,21 +75,25 @@ def most_similar(name: str, context: str, wanted: Sequence[str]) -> str | None:
     return _best(_words(name), others) or _best(_words(f"{context} {name}"), others)
 
 
-def _similar(recorded: Sequence[str], wanted: Sequence[str]) -> dict[str, str]:
+def _similar(
+    recorded: Sequence[str], wanted: Sequence[str], least: float = LEAST
+) -> dict[str, str]:
     """Return pairs of names that are each other's only best match."""
     first, second = _distinctive(recorded), _distinctive(wanted)
-    pairs = ((name, _best(words, second)) for name, words in first.items())
+    pairs = ((name, _best(words, second, least)) for name, words in first.items())
     return {
         name: match
         for name, match in pairs
-        if match is not None and _best(second[match], first) == name
+        if match is not None and _best(second[match], first, least) == name
     }
 
 
-def _best(words: frozenset[str], others: Mapping[str, frozenset[str]]) -> str | None:
+def _best(
+    words: frozenset[str], others: Mapping[str, frozenset[str]], least: float = LEAST
+) -> str | None:
     """Return the name with the most similar words; None if there is none or several."""
     scores = sorted((_similarity(words, its), name) for name, its in others.items())
-    if not scores or scores[-1][0] < LEAST:
+    if not scores or scores[-1][0] < least:
         return None
     return None if len(scores) > 1 and scores[-1][0] == scores[-2][0] else scores[-1][1]
 

@@ -141,17 +141,17 @@ class _Inspector:
             )
         wanted = self.robot.measured_joint_names
         chosen: dict[str, str] = {}
-        certain = True
+        guesses: list[str] = []
         for topic, joints in sorted(streams.items(), key=lambda one: _preference(*one)):
             open_ = [name for name in wanted if name not in chosen.values()]
             new = [name for name in joints.names if name not in chosen]
-            pairs, is_certain = match_names(new, open_)
+            pairs, guessed = match_names(new, open_)
             if not pairs:
                 if open_:
                     self.setup.note("joint_topic", f"{topic} names no joint of the model.")
                 continue
             self.setup.add("joint_topic", topic)
-            certain = certain and is_certain
+            guesses += guessed
             chosen |= pairs
         if not chosen:
             raise DataError(
@@ -162,8 +162,11 @@ class _Inspector:
         for recorded, name in chosen.items():
             if recorded != name:
                 self.setup.add("rename_joint", f"{recorded}:={name}")
-        if not certain:
-            self.setup.note("rename_joint", "CHECK: some are matched by their order alone.")
+        if guesses:
+            self.setup.note(
+                "rename_joint",
+                f"CHECK: guessed from words and order: {', '.join(guesses)}. Correct wrong pairs.",
+            )
         topics = self.setup.options["joint_topic"]
         self._describe_joints(
             [name for topic in topics for name in streams[topic].names if name not in chosen]

@@ -266,16 +266,54 @@ ARM = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_join
     ],
 )
 def test_names_of_an_arm_are_matched(recorded: list[str], is_certain: bool) -> None:
-    found, certain = match_names(recorded, ARM)
-    assert certain == is_certain
+    found, guessed = match_names(recorded, ARM)
+    assert guessed == (() if is_certain else tuple(recorded))
     order = recorded if recorded[0] != "joint_5" else recorded[::-1]
     assert found == dict(zip(order, ARM, strict=True))
 
 
+SO101 = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+# Names of the SO-100 in the MuJoCo Menagerie, in its order.
+OTHERS = ("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll", "Jaw")
+
+
+def test_names_that_are_guessed_keep_the_order_of_the_log() -> None:
+    found, guessed = match_names(OTHERS, SO101)
+    assert found == dict(zip(OTHERS, SO101, strict=True))
+    assert guessed == ("Rotation", "Pitch", "Wrist_Pitch", "Jaw")
+    # Nothing resembles anything, and the names have no numbers.
+    words = ("yaw", "bow", "fold", "tilt", "spin", "grip")
+    assert match_names(words, SO101) == (dict(zip(words, SO101, strict=True)), words)
+    # A driver that sorts its names.
+    found, _ = match_names(sorted(OTHERS), SO101)
+    assert (found["Elbow"], found["Wrist_Pitch"], found["Wrist_Roll"]) == SO101[2:5]
+
+
+@given(st.permutations(OTHERS))
+def test_shared_words_tell_more_than_the_order(recorded: list[str]) -> None:
+    found, _ = match_names(recorded, SO101)
+    assert (found["Elbow"], found["Wrist_Pitch"], found["Wrist_Roll"]) == SO101[2:5]
+
+
+def test_a_guess_of_names_is_marked(tmp_path) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 8.0, 1, friction=0.05).joints
+    names = ("Turn", "Raise", "Elbow", "Bend", "Sway", "Spin")
+    columns = zip(read.stamp, read.position, read.velocity, read.effort, strict=True)
+    messages = [joint_state(int(stamp), names, *one) for stamp, *one in columns]
+    setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    assert entries(setup.options["rename_joint"]) == dict(zip(names, arm.joint_names, strict=True))
+    setup.write(tmp_path / "robot.yaml")
+    assert (
+        "    # CHECK: guessed from words and order: Turn, Raise, Bend, Sway, Spin. Correct wrong "
+        "pairs.\n"
+    ) in (tmp_path / "robot.yaml").read_text()
+
+
 @given(st.permutations(ARM), st.sampled_from(["robot1_", "left/", ""]))
 def test_matching_is_one_to_one_and_independent_of_order(names: list[str], prefix: str) -> None:
-    found, certain = match_names([f"{prefix}{name}" for name in names], ARM)
-    assert certain
+    found, guessed = match_names([f"{prefix}{name}" for name in names], ARM)
+    assert not guessed
     assert found == {f"{prefix}{name}": name for name in ARM}
 
 
