@@ -23,6 +23,8 @@ SCALES = 0.5, 2.0
 ALIKE = 1.3
 # A position further outside the limits, rad, is not the joint's.
 LIMIT_MARGIN = 0.35
+# Angles of a robot's only joint beyond this, rad, are degrees: few joints turn five times.
+FAR = 10 * np.pi
 # A joint without a position in this share of the messages makes a log unusable.
 MOST_MISSING = 0.5
 
@@ -208,29 +210,34 @@ class JointCheck:
 
     def _degree_findings(self, model: RobotModel) -> list[Finding]:
         """Return a finding if positions are within the limits only when read as degrees."""
-        checked = outside = 0
+        checked, reached = 0, list[float]()
         for index, name in enumerate(self.names):
             if name not in model.joint_names or self._low[index] > self._high[index]:
                 continue
             joint = model.joints[model.joint_names.index(name)]
             if joint.kind != "revolute" or not np.isfinite(joint.upper - joint.lower):
                 continue
-            low, high = self._low[index], self._high[index]
+            low, high = float(self._low[index]), float(self._high[index])
             checked += 1
             if min(low / DEGREES - joint.lower, joint.upper - high / DEGREES) < -LIMIT_MARGIN:
                 return []
-            outside += int(min(low - joint.lower, joint.upper - high) < -LIMIT_MARGIN)
-        reached = np.abs([self._low, self._high])
-        largest = float(np.max(reached[np.isfinite(reached)], initial=0.0))
-        # One joint may rotate continuously or have wrong limits.
-        if not outside or 2 * outside < checked or largest <= 2 * np.pi:
+            if min(low - joint.lower, joint.upper - high) < -LIMIT_MARGIN:
+                reached.append(max(abs(low), abs(high)))
+        outside, largest = len(reached), max(reached, default=0.0)
+        # One joint may turn several times, or have wrong limits.
+        least = FAR if outside == checked == 1 else 2 * np.pi
+        is_alone = outside == 1 < checked
+        if not outside or is_alone or 2 * outside < checked or largest <= least:
             return []
+        joints = (
+            "1 joint leave its limits" if outside == 1 else f"{outside} joints leave their limits"
+        )
         return [
             Finding.of(
                 self.topic,
                 Kind.UNIT,
-                f"positions of {outside} joints leave their limits in {model.source} and reach "
-                f"{largest:.3g}, as if in degrees; use rad",
+                f"positions of {joints} in {model.source} and reach {largest:.3g}, as if in "
+                'degrees; use rad, or type="continuous" in the model for joints that turn that far',
                 {"joints": outside, "largest": largest},
             )
         ]

@@ -189,10 +189,30 @@ def test_only_known_hinges_with_limits_tell_degrees(model):
 def test_a_slide_beyond_its_limits_does_not_count_as_degrees():
     model = robot(kinds=("revolute", "prismatic", "prismatic"))
     (found,) = findings(reaching(50.0, 400.0, 400.0), model)
-    assert found.figures == {"joints": 1, "largest": 400.0}
+    assert found.figures == {"joints": 1, "largest": 50.0}
     model = robot(kinds=("prismatic", "revolute", "revolute"))
     (found,) = findings(reaching(400.0, 50.0, 50.0), model)
-    assert found.figures == {"joints": 2, "largest": 400.0}
+    assert found.figures == {"joints": 2, "largest": 50.0}
+
+
+@pytest.mark.parametrize(
+    ("kinds", "high", "is_found"),
+    [
+        # A joint of a double pendulum that turned 1, 4 or 11 times.
+        (("revolute", "revolute", "prismatic"), (1.0, 8.59, 0.0), False),
+        (("revolute", "revolute", "prismatic"), (1.0, 25.0, 0.0), False),
+        (("revolute", "revolute", "prismatic"), (1.0, 70.0, 0.0), False),
+        (("revolute", "revolute", "prismatic"), (20.0, 70.0, 0.0), True),
+        # The only joint of a robot.
+        (("revolute", "prismatic", "prismatic"), (8.59, 0.0, 0.0), False),
+        (("revolute", "prismatic", "prismatic"), (31.0, 0.0, 0.0), False),
+        (("revolute", "prismatic", "prismatic"), (32.0, 0.0, 0.0), True),
+        (("revolute", "prismatic", "prismatic"), (8.59, 400.0, 0.0), False),
+    ],
+)
+def test_one_joint_that_turns_several_times_is_in_radians(kinds, high, is_found):
+    found = findings(reaching(*high), robot(kinds=kinds))
+    assert [one.kind for one in found] == [Kind.UNIT] * is_found
 
 
 @pytest.mark.parametrize(("missing", "severity"), [(500, "WARNING"), (501, "UNUSABLE")])
