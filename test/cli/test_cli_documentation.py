@@ -18,6 +18,7 @@ import shutil
 import subprocess
 import tomllib
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree
@@ -290,9 +291,15 @@ def test_data_is_well_formed() -> None:
             assert read[block.language]("\n".join(block.lines)) is not None
 
 
+@cache
+def whole_command():
+    """Return the parser of ``symbid``, which takes a tenth of a second to make."""
+    return typer.main.get_command(app)
+
+
 def command_named(words: list[str]):
     """Return the command of ``symbid`` that words begin with, and the words after its name."""
-    command = typer.main.get_command(app)
+    command = whole_command()
     while words and words[0] in getattr(command, "commands", {}):
         command, words = command.commands[words[0]], words[1:]
     return command, words
@@ -358,7 +365,7 @@ def test_commands_in_running_text_have_the_options_named() -> None:
 
 
 def test_options_in_running_text_are_those_of_a_command() -> None:
-    known = options_of(typer.main.get_command(app))
+    known = options_of(whole_command())
     for page, span in INLINE:
         if span.startswith("--") and page.name != "CONTRIBUTING.md":
             option = span.split()[0].split("=")[0]
