@@ -51,7 +51,7 @@ def robot(true_robot):
 
 @pytest.fixture(scope="module")
 def readings(true_robot):
-    return standing_log(true_robot, 16.0, 3, friction=0.0)
+    return standing_log(true_robot, 10.0, 3, friction=0.0)
 
 
 def log_of(robot, readings, *, feet=(), effort=None, touches=None):
@@ -247,18 +247,11 @@ def test_flags_that_let_a_standing_robot_fly_are_refused(robot, readings):
 
 
 def test_efforts_that_do_not_carry_the_robot_raise_an_alarm(robot, readings):
-    plain, weak = (
-        identify(
-            robot,
-            log_of(robot, readings, effort=factor * readings["/joint_states"]["effort"]),
-            contact=POINTS,
-            no_holdout=True,
-            joint_terms="none",
-        )
-        for factor in (1.0, 0.2)
-    )
-    assert not any("total mass went from" in alarm for alarm in plain.alarms)
-    assert any("total mass went from" in alarm for alarm in weak.alarms)
+    """Those that carry it raise none, see above."""
+    weak = log_of(robot, readings, effort=0.2 * readings["/joint_states"]["effort"])
+    options = {"window": 0.321, "no_holdout": True, "joint_terms": "none"}
+    found = identify(robot, weak, contact=POINTS, **options)
+    assert any("total mass went from" in alarm for alarm in found.alarms)
 
 
 def test_readings_at_a_contact_that_is_named_are_left_out(robot, readings):
@@ -270,7 +263,13 @@ def test_readings_at_a_contact_that_is_named_are_left_out(robot, readings):
 def test_with_neither_efforts_nor_wrenches_the_mass_is_said_to_be_unknown(robot, readings):
     silent = np.full_like(readings["/joint_states"]["effort"], np.nan)
     with pytest.raises(DataError, match="not even the robot's mass"):
-        identify(robot, log_of(robot, readings, effort=silent), contact=POINTS, unchecked=True)
+        identify(
+            robot,
+            log_of(robot, readings, effort=silent),
+            contact=POINTS,
+            unchecked=True,
+            window=0.321,
+        )
 
 
 def test_wrenches_alone_identify_a_robot_whose_drives_measure_nothing(robot, true_robot, readings):
