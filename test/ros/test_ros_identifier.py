@@ -170,6 +170,7 @@ def test_every_option_gives_the_same_result_as_the_command(graph, tmp_path: Path
         prior_percent=20.0,
         mirror=0.5,
         offset=True,
+        no_holdout=True,
     )
     assert str(tmp_path / "tare") in document["inputs"]
     kinds = {sensor["name"].split("/")[1] for sensor in document["verdict"]["sensors"]}
@@ -192,6 +193,7 @@ def test_a_truncated_method_on_filtered_rows_is_the_same_from_both(
         channels="thesis",
         friction=True,
         armature=True,
+        no_holdout=True,
     )
     assert document["method"] == "wls_rc"
     assert document["rank"] >= 1
