@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import DESKTOP, PHONE
+from browser import PHONE
 from small_study import PLAN, SmallStudy, run_inline
 
 from symbid_ros.bags import bag_log
@@ -301,14 +301,14 @@ def test_controller_tracks_best_with_the_best_model(small: SmallStudy):
     assert "not positive definite" in rows["OLS"]["Ended by"]
 
 
-@pytest.mark.parametrize(("width", "dark"), [(DESKTOP, False), (PHONE, True)])
-def test_page_fits_screens_and_has_no_problem(small: SmallStudy, browser, width, dark):
-    with browser.page(small.out / "report.html", width, dark=dark) as page:
+def test_page_fits_a_dark_phone(small: SmallStudy, browser):
+    with browser.page(small.out / "report.html", PHONE, dark=True) as page:
         assert page.problems == page.requests == page.overflow == []
 
 
-def test_print_is_short_and_shows_figures_first(small: SmallStudy, browser):
+def test_page_fits_a_screen_and_its_print_is_short_with_figures_first(small: SmallStudy, browser):
     with browser.page(small.out / "report.html") as page:
+        assert page.problems == page.requests == page.overflow == []
         pages = page.printed_pages()
     assert len(pages) <= 6
     assert "Fig. 3:" in pages[0]
