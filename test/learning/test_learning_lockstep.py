@@ -80,9 +80,10 @@ def test_the_bag_holds_all_topics_of_the_run(learning, bag) -> None:
 
 
 def test_equal_tasks_give_equal_records(task, learning) -> None:
-    again = LearningRun(task, learns=True).run()
-    np.testing.assert_array_equal(again.applied, learning.applied)
-    assert again.estimates == learning.estimates
+    again = LearningRun(replace(task, seconds=1.6), learns=True).run()
+    assert again.estimates
+    np.testing.assert_array_equal(again.applied, learning.applied[: len(again.applied)])
+    assert again.estimates == learning.estimates[: len(again.estimates)]
 
 
 def test_a_payload_moves_the_true_centre_of_mass(task) -> None:
