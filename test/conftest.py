@@ -40,14 +40,15 @@ settings.load_profile("tests")
 
 # Files by duration, the longest first; shorter ones are not listed.
 LONGEST = (
-    "test_ros_online_identifier.py",
     "test_study_small.py",
+    "test_ros_balance_controller.py",
+    "test_ros_online_identifier.py",
+    "test_cli_online_demo.py",
     "test_cli_documentation.py",
+    "test_report_browser.py",
     "test_identification_contacts.py",
     "test_ros_soak.py",
-    "test_report_browser.py",
-    "test_ros_balance_controller.py",
-    "test_cli_online_demo.py",
+    "test_ros_online_changes.py",
     "test_packaging.py",
     "test_learning_lockstep.py",
     "test_ros_bridge.py",
