@@ -149,7 +149,7 @@ def test_a_result_tells_parameters_links_and_alarms(robot, result) -> None:
     ids=str,
 )
 def test_errors_of_a_prediction_are_those_of_the_report(robot, log, options) -> None:
-    result = sy.identify(robot, log, prior_percent=25, no_holdout=True, **options)
+    result = sy.identify(robot, log, prior_percent=25, **options)
     prediction = result.predict(log)
     reported = result.estimate.residual_rmse
     assert prediction.rmse.keys() == reported.keys()
@@ -179,8 +179,7 @@ def without_groups(information) -> sy.LogInformation:
 
 
 def test_merged_information_equals_that_of_both_logs(robot, folder, result) -> None:
-    log = sy.load_bag(folder / "more", robot)
-    more = sy.identify(robot, log, prior_percent=25, no_holdout=True)
+    more = sy.identify(robot, sy.load_bag(folder / "more", robot), prior_percent=25)
     information = sy.merge([result.information, more.information])
     assert information.seconds == result.information.seconds + more.information.seconds
     # The data can be solved with other terms than those that each log asked for.

@@ -17,9 +17,6 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sampled_rows import slipping_coordinates, valid_coordinates
 from symbid_ros.signals.weak_form import WindowedRows
 
-# The prediction of a log's end is looked at elsewhere, and takes as long as the identification.
-QUICK = {"unchecked": True, "no_holdout": True}
-
 
 def chosen(result, log):
     """Return the determined terms that make up at least 1 % of some joint's effort."""
@@ -43,7 +40,7 @@ def test_the_terms_that_made_the_data_are_chosen(terms):
     robot = arm()
     truth = drives(robot, **terms)
     log = log_of(robot, truth)
-    result = sy.identify(robot, log, **QUICK)
+    result = sy.identify(robot, log, unchecked=True)
     assert chosen(result, log) == set(terms)
     for joint in robot.joint_names:
         for term, value in terms.items():
@@ -56,7 +53,7 @@ def test_drives_that_rub_more_than_a_leg(terms):
     """The default deviations of named terms are 1 Nm s/rad and 2 Nm."""
     robot, truth = arm(), {"viscous": 150.0, "coulomb": 40.0}
     log = log_of(robot, drives(robot, **truth))
-    result = sy.identify(robot, log, **QUICK, joint_terms=terms)
+    result = sy.identify(robot, log, unchecked=True, no_holdout=True, joint_terms=terms)
     for joint in robot.joint_names:
         for term, value in truth.items():
             found = result.parameters[f"{joint}/{term}"]
@@ -66,15 +63,15 @@ def test_drives_that_rub_more_than_a_leg(terms):
 def test_offsets_are_chosen():
     robot = arm()
     log = log_of(robot, drives(robot), offset=0.7)
-    result = sy.identify(robot, log, **QUICK)
+    result = sy.identify(robot, log, unchecked=True)
     assert chosen(result, log) == {"offset"}
 
 
 def test_without_friction_the_choice_equals_no_terms():
     robot = arm()
     log = log_of(robot, drives(robot))
-    auto = sy.identify(robot, log, **QUICK)
-    none = sy.identify(robot, log, **QUICK, joint_terms=("none",))
+    auto = sy.identify(robot, log, unchecked=True)
+    none = sy.identify(robot, log, unchecked=True, joint_terms=("none",))
     links = 10 * len(none.links)
     # At most a term within its noise is added.
     change = (auto.estimate.value[:links] - none.estimate.value) / none.estimate.std
@@ -97,7 +94,7 @@ def test_friction_of_the_model_file_may_be_wrong(stated):
 def test_saved_information_gives_the_same_choice(tmp_path):
     robot = arm()
     log = log_of(robot, drives(robot, viscous=0.4, coulomb=0.8))
-    result = sy.identify(robot, log, **QUICK)
+    result = sy.identify(robot, log, unchecked=True)
     result.information.save(tmp_path / "information.npz")
     again = sy.identify(robot, sy.LogInformation.load(tmp_path / "information.npz"))
     assert again.estimate.joint_terms == result.estimate.joint_terms
@@ -108,8 +105,8 @@ def test_logs_with_different_choices_are_merged():
     robot = arm()
     truth = drives(robot, viscous=0.4, coulomb=0.8)
     still = np.arange(len(robot.joints)) > 0
-    first = sy.identify(robot, log_of(robot, truth, moving=still), **QUICK)
-    second = sy.identify(robot, log_of(robot, truth, seed=1), **QUICK)
+    first = sy.identify(robot, log_of(robot, truth, moving=still), unchecked=True)
+    second = sy.identify(robot, log_of(robot, truth, seed=1), unchecked=True)
     assert first.estimate.joint_terms != second.estimate.joint_terms
     both = sy.identify(robot, sy.merge([first.information, second.information]))
     joint = robot.joint_names[0]
@@ -120,7 +117,7 @@ def test_a_resting_joint_is_named():
     robot = arm()
     still = np.arange(len(robot.joints)) > 0
     truth = drives(robot, viscous=0.4, coulomb=0.8)
-    result = sy.identify(robot, log_of(robot, truth, moving=still), **QUICK)
+    result = sy.identify(robot, log_of(robot, truth, moving=still), unchecked=True)
     assert any(
         one.startswith(f"{robot.joint_names[0]}: moved faster") for one in result.estimate.remarks
     )
@@ -130,7 +127,7 @@ def test_a_resting_joint_is_named():
 def test_armature_of_the_first_joint_is_named_as_inseparable():
     robot = arm(seed=4)
     assert robot.joints[0].kind == "revolute"
-    result = sy.identify(robot, log_of(robot, drives(robot, armature=0.3)), **QUICK)
+    result = sy.identify(robot, log_of(robot, drives(robot, armature=0.3)), unchecked=True)
     first = f"{robot.joint_names[0]}/armature acts like "
     assert any(one.startswith(first) for one in result.estimate.remarks)
 
@@ -148,7 +145,7 @@ def test_a_joint_that_moves_one_way_does_not_tell_coulomb_from_offset():
     effort = rows.K @ truth.values - rows.y
     effort += 1e-3 * np.random.default_rng(0).normal(size=effort.shape)
     log = sy.Log.from_arrays(robot, time=time, position=samples.position, effort=effort)
-    result = sy.identify(robot, log, **QUICK)
+    result = sy.identify(robot, log, unchecked=True)
     assert any("does not tell coulomb from offset" in one for one in result.estimate.remarks)
 
 
@@ -164,7 +161,7 @@ def test_stribeck_friction_is_chosen():
     rows = equation_of_motion(columns, samples)
     effort = rows.K @ phi - rows.y + 1e-3 * rng.normal(size=motion[0].shape)
     log = sy.Log.from_arrays(robot, time=time, position=motion[0], effort=effort)
-    result = sy.identify(robot, log, **QUICK)
+    result = sy.identify(robot, log, unchecked=True)
     for joint in robot.joint_names:
         found = result.parameters[f"{joint}/stribeck"]
         assert found.value == pytest.approx(0.5, abs=max(5 * found.std, 0.05))
@@ -317,7 +314,7 @@ def test_contradictory_terms_are_refused(fields, code):
 def test_terms_that_a_model_file_cannot_hold_are_named(tmp_path, caplog):
     (tmp_path / "robot.urdf").write_text(urdf_text(arm()))
     robot = sy.load_model(tmp_path / "robot.urdf", "fixed")
-    result = sy.identify(robot, log_of(robot, drives(robot), offset=0.7), **QUICK)
+    result = sy.identify(robot, log_of(robot, drives(robot), offset=0.7), unchecked=True)
     result.save(tmp_path / "out")
     assert "model.urdf and model.xml cannot hold offset" in caplog.text
 
@@ -326,6 +323,6 @@ def test_friction_of_the_model_file_leaves_out_joints_that_rest():
     robot = arm()
     truth = drives(robot, coulomb=0.8)
     log = log_of(truth.model, truth, moving=np.zeros(len(robot.joints)), seconds=8.0)
-    result = sy.identify(truth.model, log, **QUICK)
+    result = sy.identify(truth.model, log, unchecked=True)
     # Static friction is unknown, so a log at rest determines nothing.
     assert not any(one.is_determined for one in result.parameters.values())
