@@ -378,6 +378,9 @@ class Solver:
         p, choice = len(parameters), self.problem.choice
         contacts = parameters.model.contacts
         determined = np.asarray(std < DETERMINED * prior.std[:p])
+        # Where the data widened the prior far, half of it may be more than the file's own error.
+        stated = self.problem.prior.std[: parameters.inertial]
+        determined[: parameters.inertial] &= std[: parameters.inertial] <= stated
         if choice is not None:
             # Fixed terms are exactly at their value; the solution is so to rounding.
             chosen = {f"{one}/{term}" for one, terms in choice.by_joint.items() for term in terms}

@@ -37,6 +37,11 @@ def resting_joints(
     if not own:
         return ()
     seconds = FEWEST_SLIPPING * observations[0].window / 2
+    if parameters.model.contacts is not None:  # a row contains the friction of several joints
+        return (
+            f"{', '.join(own)}: less than {seconds:.2g} s of usable rows in which all joints of a "
+            f"row move faster than {COULOMB_SPEED:g} rad/s, too little to judge friction",
+        )
     return (
         f"{', '.join(own)}: moved faster than {COULOMB_SPEED:g} rad/s for less than "
         f"{seconds:.2g} s, too little to judge friction",
