@@ -45,12 +45,12 @@ def bag_log(
     part : TimeRange
         Part of the recording.
     """
-    names = topics.joint_names if model is None else model.measured_joint_names
-    return _log_of(bags, replace(topics, joint_names=names, logged=set()), part)
+    topics = topics if model is None else topics.of_model(model)
+    return _log_of(bags, replace(topics, logged=set()), part)
 
 
 def _log_of(bags: Sequence[Path], topics: TopicSelection, part: TimeRange) -> Log:
-    """Return the log in bags, which shares the set of its logged warnings with the selection."""
+    """Return the log in bags, which shares the set of its logged messages with the selection."""
 
     def read(span: int | None, warn: bool) -> Iterator[Slice]:
         return iterate_slices(bags, topics, span=span, part=part, warn=warn)
@@ -60,7 +60,7 @@ def _log_of(bags: Sequence[Path], topics: TopicSelection, part: TimeRange) -> Lo
         return bag_log(bags, topics=topics)
 
     def of_robot(robot: RobotModel) -> Log:
-        return _log_of(bags, replace(topics, joint_names=robot.measured_joint_names), part)
+        return _log_of(bags, topics.of_model(robot), part)
 
     def frames() -> tuple[FixedTransform, ...]:
         mapping = topics.mapping

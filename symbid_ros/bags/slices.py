@@ -102,6 +102,7 @@ def iterate_slices(
             yield from slicer.remaining_slices()
         if slicer.is_done:
             break
+    chosen.unwrapper.report(source, chosen.clock.name)
     if warn:
         slicer.report()
 

@@ -115,7 +115,7 @@ def build_joints(
 ) -> JointStream:
     """Return the joint states of a robot, merged from its topics, as the model defines them."""
     joints = [
-        build_joint_stream(part, tallies[topic])
+        chosen.unwrapper.unwrapped(build_joint_stream(part, tallies[topic]))
         for topic in chosen.joints
         for part in split_by_joints(decoders[topic], chosen.recorded_joints, tallies[topic])
     ]

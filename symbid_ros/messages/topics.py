@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -10,7 +10,9 @@ from symbid_ros.errors import BagError
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.sensor_mapping import SAME, HeldJoints, SensorMapping
 from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
+from symbid_ros.signals.wrapped_angles import AngleUnwrapper
 
 TRUTH = "ground_truth"
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
@@ -84,12 +86,14 @@ class TopicSelection:
         Names, units and signs of the log.
     joint_names : tuple of str
         Joints of the model, if known: messages that name none of them are ignored.
+    linear_joints : tuple of str
+        Its prismatic joints, whose positions are no angles.
     poses : tuple of str
         Odometry and PoseStamped topics of tracked frames.
     drives : tuple of str
         Odometry or Imu topics of wheeled bases.
     logged : set of str
-        Warnings about the log so far. Each is logged once, however often the log is read.
+        Messages about the log so far. Each is logged once, however often the log is read.
     """
 
     joints: tuple[str, ...] | None = None
@@ -99,6 +103,7 @@ class TopicSelection:
     joint_names: tuple[str, ...] = ()
     poses: tuple[str, ...] = ()
     drives: tuple[str, ...] = ()
+    linear_joints: tuple[str, ...] = ()
     logged: set[str] = field(default_factory=set, repr=False, compare=False)
 
     @classmethod
@@ -111,6 +116,14 @@ class TopicSelection:
             mapping=SensorMapping.of(options),
             poses=options.pose_topic,
             drives=options.drive_topic,
+        )
+
+    def of_model(self, model: RobotModel) -> "TopicSelection":
+        """Return the selection for the joints of a model."""
+        return replace(
+            self,
+            joint_names=model.measured_joint_names,
+            linear_joints=model.prismatic_joint_names,
         )
 
     def __post_init__(self) -> None:
@@ -134,7 +147,7 @@ class SelectedTopics:
         Topics by sensor type; at least one has joint states.
     flags : tuple of Topic
         Topics that tell whether a contact touches anything. Their messages have no stamp.
-    mapping, joint_names, logged
+    mapping, joint_names, linear_joints, logged
         As in `TopicSelection`.
     is_live : bool
         Whether the topics are those of a running robot.
@@ -149,6 +162,7 @@ class SelectedTopics:
     poses: tuple[Topic, ...] = ()
     flags: tuple[Topic, ...] = ()
     drives: tuple[Topic, ...] = ()
+    linear_joints: tuple[str, ...] = ()
     logged: set[str] = field(default_factory=set, repr=False, compare=False)
 
     @cached_property
@@ -160,6 +174,11 @@ class SelectedTopics:
     def held_joints(self) -> HeldJoints:
         """Joints of the model that this recording lacks."""
         return HeldJoints(self.joint_names, self.mapping.held, self.is_live, self.logged)
+
+    @cached_property
+    def unwrapper(self) -> AngleUnwrapper:
+        """Unwraps the joints' angles in this recording, one slice after the other."""
+        return AngleUnwrapper(self.mapping.recorded_joints(self.linear_joints), self.logged)
 
     @property
     def all(self) -> tuple[Topic, ...]:
@@ -247,6 +266,7 @@ class TopicSelector:
             self.selection.joint_names,
             poses=tuple(self._find_named(name, *POSES) for name in self.selection.poses),
             drives=drives,
+            linear_joints=self.selection.linear_joints,
             flags=tuple(self._find_named(name, BOOL) for name in self.selection.mapping.flagged),
             logged=self.selection.logged,
         )

@@ -258,6 +258,13 @@ class RobotModel:
             joint.name for joint in self.joints if joint.mimic is None and not joint.sensor
         )
 
+    @cached_property
+    def prismatic_joint_names(self) -> tuple[str, ...]:
+        """Names of the joints whose positions are lengths."""
+        return tuple(
+            joint.name for joint in self.joints if joint.kind == "prismatic" and not joint.sensor
+        )
+
     def apply_mimics(self, values: FloatArray, *, rates: bool = False) -> FloatArray:
         """Return joint positions (N, J), or rates, with those of mimic joints computed.
 

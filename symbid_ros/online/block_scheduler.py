@@ -51,7 +51,13 @@ class BlockScheduler:
         self, selected: SelectedTopics, model: RobotModel, lag: float, source: str
     ) -> None:
         self.streams = LiveStreams(
-            replace(selected, joint_names=model.measured_joint_names, is_live=True), source
+            replace(
+                selected,
+                joint_names=model.measured_joint_names,
+                linear_joints=model.prismatic_joint_names,
+                is_live=True,
+            ),
+            source,
         )
         self._model = model
         self._lag = round(lag * 1e9)

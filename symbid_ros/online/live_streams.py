@@ -168,6 +168,7 @@ class LiveStreams:
     def restart(self) -> None:
         """Drop all messages and restart the clock."""
         self.released_until = self._clock = None
+        self.selected.unwrapper.restart()
         for buffer in self.buffers.values():
             buffer.clear()
         for history in self._flags.values():
@@ -248,6 +249,7 @@ class LiveStreams:
                 )
         defects = {topic: DefectCounts(self.source, topic.name) for topic in decoders}
         streams = build_streams(self.source, self.selected, decoders, defects)
+        self.selected.unwrapper.report(self.source, self.selected.clock.name)
         flags = tuple(history.flags for history in self._flags.values())
         streams = replace(streams, is_live=True, flags=flags)
         for topic, counts in defects.items():

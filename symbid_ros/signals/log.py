@@ -31,6 +31,7 @@ from symbid_ros.signals.streams import (
     TimeRange,
     WrenchStream,
 )
+from symbid_ros.signals.wrapped_angles import AngleUnwrapper
 
 WORLD = "world"
 SliceReader = Callable[[int | None, bool], Iterator[Slice]]
@@ -153,7 +154,8 @@ class Log:
             Instants: seconds if floating-point, nanoseconds if integer.
         position, effort : (N, J) array_like
             rad and Nm (m and N for prismatic joints), one column for each of
-            ``robot.measured_joint_names``. NaN marks a missing reading.
+            ``robot.measured_joint_names``. NaN marks a missing reading. Angles wrapped to one turn
+            are unwrapped.
         velocity : (N, J) array_like, optional
             rad/s or m/s; only :func:`symbid_ros.diagnose` uses it, to check the positions.
         imus : mapping of str to (N, 6) array_like, optional
@@ -221,7 +223,7 @@ class Log:
                 tallies.append(tally)
                 yield topic, frame, stamp[kept][usable], read[usable]
 
-        joints = JointStream(
+        recorded = JointStream(
             topic="joints",
             names=names,
             stamp=stamp[kept],
@@ -229,6 +231,9 @@ class Log:
             velocity=rows("velocity", np.full(shape, np.nan) if velocity is None else velocity),
             effort=rows("effort", effort),
         )
+        unwrapper = AngleUnwrapper(robot.prismatic_joint_names)
+        joints = unwrapper.unwrapped(recorded)
+        unwrapper.report(name, joints.topic)
         imu_streams = tuple(
             ImuStream(
                 topic=topic,

@@ -172,7 +172,7 @@ def write_bag(streams: Streams, path: Path, further: Sequence[Topic] = ()) -> Pa
     joints = streams.joints
     given = {name: getattr(joints, name) for name in ("position", "velocity", "effort")}
     given = {name: values for name, values in given.items() if not np.isnan(values).all()}
-    records = _joint_layout(joints.names, given).records(len(joints.stamp))
+    records = joint_layout(joints.names, given).records(len(joints.stamp))
     fill_stamp(records, joints.stamp)
     for name, values in given.items():
         records[name][...] = values
@@ -205,7 +205,7 @@ def write_bag(streams: Streams, path: Path, further: Sequence[Topic] = ()) -> Pa
     return path
 
 
-def _joint_layout(names: tuple[str, ...], given: Collection[str]) -> Layout:
+def joint_layout(names: tuple[str, ...], given: Collection[str]) -> Layout:
     """Return the layout of joint states in which only the given arrays are filled."""
     types = typestore().types
     time = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
