@@ -43,6 +43,7 @@ class Kind(Enum):
     UNIT = "unit"
     GRAVITY = "gravity"
     VELOCITY = "velocity"
+    UNSIGNED_EFFORT = "unsigned_effort"
     MISSING_JOINT = "missing_joint"
     UNKNOWN_JOINT = "unknown_joint"
     REORDERED_JOINTS = "reordered_joints"

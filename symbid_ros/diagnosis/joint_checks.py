@@ -25,6 +25,8 @@ ALIKE = 1.3
 LIMIT_MARGIN = 0.35
 # Angles of a robot's only joint beyond this, rad, are degrees: few joints turn five times.
 FAR = 10 * np.pi
+# Joints that move both ways, this many times each, of which so many never have a negative effort.
+FEWEST_REVERSING, FEWEST_UNSIGNED = 10, 4
 # A joint without a position in this share of the messages makes a log unusable.
 MOST_MISSING = 0.5
 
@@ -50,6 +52,8 @@ class JointCheck:
     _without_position: IntArray = field(init=False)
     _without_effort: IntArray = field(init=False)
     _has_effort: BoolArray = field(init=False)
+    _is_negative: BoolArray = field(init=False)
+    _moved: IntArray = field(init=False)  # number of spans with motion down and up
 
     def __post_init__(self) -> None:
         """Allocate empty moments."""
@@ -59,6 +63,8 @@ class JointCheck:
         self._without_position = np.zeros(joints, dtype=np.int64)
         self._without_effort = np.zeros(joints, dtype=np.int64)
         self._has_effort = np.zeros(joints, dtype=bool)
+        self._is_negative = np.zeros(joints, dtype=bool)
+        self._moved = np.zeros((2, joints), dtype=np.int64)
 
     def add(self, joints: JointStream, during: tuple[int, int] = ALWAYS) -> None:
         """Add messages in the order of their stamps; messages of other joints are ignored.
@@ -73,6 +79,7 @@ class JointCheck:
         self._without_effort += np.count_nonzero(~is_finite, axis=0)
         self._without_position += np.count_nonzero(~np.isfinite(joints.position[inside]), axis=0)
         self._has_effort |= np.any(is_finite & (joints.effort[inside] != 0.0), axis=0)
+        self._is_negative |= np.any(joints.effort[inside] < 0.0, axis=0)
         position = joints.position
         self._low = np.fmin(self._low, np.nanmin(position, axis=0, initial=np.inf))
         self._high = np.fmax(self._high, np.nanmax(position, axis=0, initial=-np.inf))
@@ -87,6 +94,10 @@ class JointCheck:
         steps = 0.5 * (joints.velocity[1:] + joints.velocity[:-1]) * np.diff(time)[:, None]
         path = np.vstack([np.zeros((1, len(self.names))), np.cumsum(steps, axis=0)])
         velocity = (path[first + lag] - path[first]) / seconds
+        self._moved += [
+            np.count_nonzero(change < -SLOWEST, axis=0),
+            np.count_nonzero(change > SLOWEST, axis=0),
+        ]
         # Intervals without a velocity are not compared.
         known = np.isfinite(velocity) & np.isfinite(change)
         change, velocity = np.where(known, change, 0.0), np.where(known, velocity, 0.0)
@@ -141,8 +152,27 @@ class JointCheck:
                         Severity.UNUSABLE if is_fatal else Severity.WARNING,
                     )
                 )
+        found += self._unsigned_findings(driven)
         incomplete = [i for i in driven if self._has_effort[i] and self._without_effort[i]]
         return found + list(self._absent("effort", incomplete, Severity.WARNING))
+
+    def _unsigned_findings(self, driven: list[int]) -> Iterator[Finding]:
+        """Yield a finding if no joint ever has a negative effort, although joints move both ways.
+
+        Friction alone changes its sign, and a joint with a vertical axis carries no weight.
+        """
+        reverses = self._moved.min(axis=0) >= FEWEST_REVERSING
+        places = [i for i in driven if self._has_effort[i] and reverses[i]]
+        if len(places) < FEWEST_UNSIGNED or self._is_negative[places].any():
+            return
+        yield Finding.of(
+            self.topic,
+            Kind.UNSIGNED_EFFORT,
+            f"the effort of {self._list_names(places)} is never negative, although the joints move "
+            "both ways, as if it were a magnitude; let the driver give efforts their signs",
+            {"joints": len(places)},
+            Severity.WARNING,
+        )
 
     def _absent(self, kind: str, places: list[int], severity: Severity) -> Iterator[Finding]:
         """Yield a finding about joints whose positions or efforts some messages lack."""

@@ -34,6 +34,7 @@ BIASING = frozenset(
         Kind.TORQUE_GAIN,
         Kind.WRENCH_GAIN,
         Kind.WRENCH_OFFSET,
+        Kind.UNSIGNED_EFFORT,
     }
 )
 # Rotations of an IMU up to this angle, degrees, can be estimated with the robot.

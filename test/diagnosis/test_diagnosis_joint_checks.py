@@ -252,3 +252,36 @@ def test_joints_without_effort_are_named_by_what_they_report():
     fixed = replace(robot(lower=-np.inf, efforts=(0.5, 0.5, 0.0)), floating=False)
     (none,) = findings(joints, fixed)
     assert none.severity is Severity.UNUSABLE
+
+
+@pytest.mark.parametrize(
+    ("count", "shape", "is_found"),
+    [(4, np.abs, True), (3, np.abs, False), (4, np.asarray, False), (6, np.abs, True)],
+)
+def test_efforts_that_are_magnitudes_are_named(count, shape, is_found):
+    names = tuple(f"joint{index}" for index in range(count))
+    angle = OMEGA * TIME[:, None] + np.arange(count)
+    position, velocity = 0.5 * np.sin(angle), 0.5 * OMEGA * np.cos(angle)
+    effort = shape(np.cos(angle) + 0.5 * np.sign(velocity))
+    stamp = PERIOD * np.arange(COUNT, dtype=np.int64)
+    check = JointCheck("/joints", names)
+    check.add(JointStream("/joints", names, stamp, position, velocity, effort))
+    found = [one for one in check.findings(None) if one.kind is Kind.UNSIGNED_EFFORT]
+    assert [one.severity for one in found] == [Severity.WARNING] * is_found
+    if is_found:
+        assert "the effort of all joints is never negative" in found[0].message
+
+
+def test_a_load_that_always_pulls_down_is_no_magnitude():
+    """Joints that move one way only, or one with the other sign, are no evidence."""
+    names = tuple(f"joint{index}" for index in range(4))
+    angle = OMEGA * TIME[:, None] + np.arange(4)
+    effort = np.full((COUNT, 4), 2.0)
+    effort[:, 3] = -2.0
+    stamp = PERIOD * np.arange(COUNT, dtype=np.int64)
+    swings = 0.5 * np.sin(angle), 0.5 * OMEGA * np.cos(angle)
+    creeps = 0.1 * TIME[:, None] * np.ones(4), np.full((COUNT, 4), 0.1)
+    for motion, load in ((swings, effort), (creeps, np.abs(effort))):
+        check = JointCheck("/joints", names)
+        check.add(JointStream("/joints", names, stamp, *motion, load))
+        assert Kind.UNSIGNED_EFFORT not in [one.kind for one in check.findings(None)]
