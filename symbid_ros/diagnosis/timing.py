@@ -10,8 +10,8 @@ from symbid_ros.signals.defects import find_gaps
 
 # Stamps whose periods vary more are arrival times instead of sampling times.
 JITTER = 0.25
-# Hz; below it the averaging windows are too long for fast motion.
-SLOWEST = 50.0
+# Hz; below it the averaging windows are too long for fast motion. A driver may be slower by 2 %.
+SLOWEST, TOLERANCE = 50.0, 0.98
 # A recorder subscribes to topics one by one; larger differences of start or end, s, are faults.
 MAX_OFFSET = 1.0
 # A topic with a larger share of missing messages is unusable.
@@ -141,7 +141,7 @@ class TimingCheck:
                     {"late_s": late, "early_s": early},
                 )
             )
-        slow, unsteady = 0 < figures.rate_hz < SLOWEST, figures.jitter > JITTER
+        slow, unsteady = 0 < figures.rate_hz < TOLERANCE * SLOWEST, figures.jitter > JITTER
         if slow or unsteady:
             what = (
                 f"comes at {figures.rate_hz:.3g} Hz, below {SLOWEST:g} Hz; raise the driver's rate"
