@@ -70,6 +70,9 @@ def expanded_name(path: Path) -> str:
     return f"{stem}.urdf" if path.name != f"{stem}.urdf" else f"{stem}_expanded.urdf"
 
 
+WORLD = "world"
+
+
 class UrdfReader:
     """Reads the links and joints of one URDF by name."""
 
@@ -85,6 +88,11 @@ class UrdfReader:
                 )
             self.links[self._name(link)] = link
         self.joints = robot.findall("joint")
+        parents = [joint.find("parent") for joint in self.joints]
+        if WORLD not in self.links and any(
+            one is not None and one.get("link") == WORLD for one in parents
+        ):
+            self.links[WORLD] = ET.Element("link", name=WORLD)  # Drake's files do not define it
         self.children: dict[str, list[ET.Element]] = {name: [] for name in self.links}
         self.moved: set[str] = set()
         for joint in self.joints:
@@ -107,7 +115,7 @@ class UrdfReader:
             )
         root, world_joint = roots[0], None
         below = self.children[root]
-        if root == "world" and self.links[root].find("inertial") is None and len(below) == 1:
+        if root == WORLD and self.links[root].find("inertial") is None and len(below) == 1:
             kind = below[0].get("type")
             if kind in ("fixed", "floating"):
                 world_joint = kind

@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from expected_errors import raises_code
 
+from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.urdf import MAX_DEPTH, expanded_name
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
@@ -185,6 +187,21 @@ def test_a_root_floats_unless_it_is_fixed(tmp_path):
         robot = loaded(tmp_path, *parts, base=base)
         assert robot.floating is (base == "floating")
         np.testing.assert_array_equal(robot.gravity, [0, 0, -9.81])
+
+
+@pytest.mark.parametrize("kind", ["fixed", "revolute"])
+def test_a_joint_may_hang_from_a_world_that_no_link_defines(tmp_path, kind):
+    """Drake's URDFs do so."""
+    path = tmp_path / "robot.urdf"
+    rest = link("a"), link("b"), joint("hip", "world", "a", kind), joint("knee", "a", "b")
+
+    def heavier(*elements):
+        robot = ParameterSet(loaded(tmp_path, *elements, base="fixed"))
+        return urdf_text(robot.apply(1.5 * robot.values), path)
+
+    defined = heavier(link("world", ""), *rest)
+    assert defined.count('mass value="1.5"') == 2
+    assert heavier(*rest) == defined.replace(link("world", ""), "")
 
 
 @pytest.mark.parametrize("kind", ["fixed", "floating"])
