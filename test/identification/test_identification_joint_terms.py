@@ -12,6 +12,8 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.group_moments import GROUPS, GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout, random_motions
+from symbid_ros.identification import loaded_problem
+from symbid_ros.identification.joint_terms import choose_terms
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sampled_rows import slipping_coordinates, valid_coordinates
@@ -89,6 +91,29 @@ def test_friction_of_the_model_file_may_be_wrong(stated):
             found = result.parameters[f"{joint}/{term}"]
             assert found.prior == stated
             assert abs(found.value - value) < 5 * found.std
+
+
+def test_rows_that_are_used_choose_the_terms(monkeypatch):
+    """Noise may spoil rows for all candidates together, and not for the chosen terms."""
+    robot = arm()
+    log = log_of(robot, drives(robot, viscous=0.4, coulomb=0.8))
+    expected = sy.identify(robot, log, unchecked=True, no_holdout=True)
+    windows = []
+
+    def elsewhere(problem):
+        choice = choose_terms(problem)
+        windows.append(tuple(one.window for one in problem.observations))
+        # As if all rows together had chosen in windows of another length.
+        return replace(choice, window=choice.window if len(windows) > 1 else -1.0)
+
+    monkeypatch.setattr(loaded_problem, "choose_terms", elsewhere)
+    found = sy.identify(robot, log, unchecked=True, no_holdout=True)
+    assert len(windows[0]) == 3
+    assert windows[1:] == [(found.estimate.rows.window,)]
+    assert found.estimate.joint_terms == expected.estimate.joint_terms
+    np.testing.assert_allclose(found.estimate.value, expected.estimate.value, rtol=1e-6, atol=1e-9)
+    # Other logs may need the other lengths.
+    assert [one.window for one in found.information.observations] == list(windows[0])
 
 
 def test_saved_information_gives_the_same_choice(tmp_path):
