@@ -41,9 +41,9 @@ class Trial:
 
 
 def leaves_residuals(solver: Solver) -> bool:
-    """Return whether residuals are correlated with the chosen terms, so that drives may have more.
+    """Return whether the chosen terms leave correlated residuals, so that drives may have others.
 
-    It is False if no effort was measured.
+    Without measured efforts it is False.
     """
     choice = solver.problem.choice
     if choice is None or not choice.measured.any():

@@ -36,8 +36,8 @@ logger = logging.getLogger(__name__)
 
 # Bytes of rows that are kept; of a longer log, blocks at equal distances are used.
 MOST_KEPT = 64 << 20
-# Power of the efforts in the bands over that of their noise, in the mean over the joints, from
-# which on a block contains fast motion.
+# A block contains fast motion if the power of the efforts in the bands exceeds that of their noise
+# by this factor, in the mean over the joints.
 FAST = 10.0
 PARTS = 4  # of a block, in at least half of which there is fast motion
 # Information, in bits, from which fast motion is used.
@@ -333,7 +333,8 @@ def _fast_rows(solver: Solver, dataset: Dataset) -> Iterator[FastRows]:
         return
     parameters = replace(problem.parameters, candidates=False)
     used = ~_have_dry_friction(problem)
-    joints = used[6:]  # efforts of others have all frequencies where friction changes its sign
+    # Where dry friction changes its sign, the effort jumps, which all frequencies contain.
+    joints = used[6:]
     blocks = len(stamp) * float(np.median(np.diff(stamp, prepend=stamp[0] - BLOCK))) / BLOCK
     index = 0
     for segment in segments:

@@ -60,8 +60,7 @@ class TermChoice:
     free : (p,) bool
         Parameters that are identified: all of links, the chosen ones of joints.
     measured : (d,) bool
-        Driven joints that have rows. Values that the model file states for the others are free,
-        and no evidence chose them.
+        Driven joints that have rows. The terms of the others stay as the model file states them.
     remarks : tuple of str
         What this robot or log cannot tell, one sentence each: parameters that act alike, joints
         that hardly moved.
@@ -74,7 +73,7 @@ class TermChoice:
         Whether armature and the slope of friction may be negative, because the efforts contradict
         positive ones.
     window : float or None
-        Length of the windows of the rows that chose, s; None if no joint has rows.
+        Length of the windows from whose rows the terms were chosen, s; None if no joint has rows.
     """
 
     parameters: ParameterSet
@@ -113,11 +112,7 @@ class TermChoice:
         """The chosen terms of each joint and coupling."""
         columns, names = self.parameters.term_columns, self.parameters.model.joint_names
         joints: dict[str, tuple[str, ...]] = {
-            names[joint]: tuple(
-                term
-                for term, place in columns.items()
-                if self.free[place][index] and self.measured[index]
-            )
+            names[joint]: tuple(term for term, place in columns.items() if self.free[place][index])
             for index, joint in enumerate(self.parameters.joints)
         }
         for one in self.parameters.further_columns:
@@ -175,7 +170,6 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
         An earlier choice from fewer data, which needs less evidence to stay.
     """
     parameters = problem.parameters
-    stated = problem.prior.mean[: len(parameters)] != 0
     slipping = np.zeros(len(parameters), bool)
     for term, columns in parameters.term_columns.items():
         slipping[columns] = term in SLIDING_TERMS
@@ -187,7 +181,8 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
     for columns in parameters.term_columns.values():
         # They act on the leader's row alone, like the leader's own terms.
         everything[columns] = ~np.isin(parameters.joints, list(parameters.model.followers))
-        everything[columns] &= measured | stated[columns]
+        everything[columns] &= measured
+    stated = everything & (problem.prior.mean[: len(parameters)] != 0)
     unmeasured = joints_without_rows(problem.observations[0], parameters)
     if not measured.any():
         return TermChoice(parameters, everything, measured, unmeasured)

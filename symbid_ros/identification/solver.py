@@ -378,7 +378,7 @@ class Solver:
         p, choice = len(parameters), self.problem.choice
         contacts = parameters.model.contacts
         determined = np.asarray(std < DETERMINED * prior.std[:p])
-        # Where the data widened the prior far, half of it may be more than the file's own error.
+        # After the data widen the prior far, even half its variance may exceed the stated one.
         stated = self.problem.prior.std[: parameters.inertial]
         determined[: parameters.inertial] &= std[: parameters.inertial] <= stated
         if choice is not None:

@@ -87,7 +87,7 @@ class TopicSelection:
     joint_names : tuple of str
         Joints of the model, if known: messages that name none of them are ignored.
     linear_joints : tuple of str
-        Its prismatic joints, whose positions are no angles.
+        Its prismatic joints, whose positions are lengths instead of angles.
     poses : tuple of str
         Odometry and PoseStamped topics of tracked frames.
     drives : tuple of str

@@ -42,7 +42,7 @@ class AngleUnwrapper:
     Parameters
     ----------
     linear : collection of str
-        Prismatic joints, by their names in the log; their positions are no angles.
+        Prismatic joints, by their names in the log; their positions are lengths.
     logged : set of str
         What was logged about the log before, as in `TopicSelection`.
 
