@@ -9,13 +9,8 @@ import numpy as np
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.signals.sampled_rows import RowBuilder
 from symbid_ros.signals.segments import Segment, fingerprint
-from symbid_ros.signals.weak_form import (
-    MOTION,
-    Channel,
-    WindowedRows,
-    suitable_windows,
-    windowed_rows,
-)
+from symbid_ros.signals.sensor_noise import MOTION, Channel
+from symbid_ros.signals.weak_form import WindowedRows, suitable_windows, windowed_rows
 
 
 @dataclass(frozen=True)

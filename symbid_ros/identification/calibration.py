@@ -28,13 +28,8 @@ from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPo
 from symbid_ros.signals.segments import Segment, stamp_spans
 from symbid_ros.signals.sensor_drift import SensorDrift
 from symbid_ros.signals.sensor_errors import COMPLIANCE, DRIVE_GAIN, PLACE, SensorErrors
-from symbid_ros.signals.weak_form import (
-    ACCELERATION,
-    ALL_WINDOWS,
-    FORCES,
-    MOTION,
-    suitable_windows,
-)
+from symbid_ros.signals.sensor_noise import ACCELERATION, FORCES, MOTION
+from symbid_ros.signals.weak_form import ALL_WINDOWS, suitable_windows
 
 # The first pass is linearised about the prior; then Gauss-Newton.
 PASSES = 3

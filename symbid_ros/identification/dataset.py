@@ -27,12 +27,11 @@ from symbid_ros.signals.filters import LowPass, SavitzkyGolay, Smoothing, row_in
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sampled_rows import RowBuilder, sampled_rows
 from symbid_ros.signals.segments import RemoteSegments, Segment, cut_to, fingerprint
+from symbid_ros.signals.sensor_noise import MOTION, Channel
 from symbid_ros.signals.sensor_samples import PROBE_PERIOD, build_samples, probed
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     BLOCK,
-    MOTION,
-    Channel,
     block_rows,
     check_windows,
     cut_into_blocks,

@@ -12,8 +12,9 @@ from symbid_ros.identification.accumulator import BlockAccumulator, TimeSpan
 from symbid_ros.identification.calibration import NOISY_CHANNELS
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
+from symbid_ros.signals.sensor_noise import MOTION, Channel
 from symbid_ros.signals.sensor_samples import SensorSamples
-from symbid_ros.signals.weak_form import MOTION, Channel, EquationRows
+from symbid_ros.signals.weak_form import EquationRows
 
 
 def _noisy_channels(build: RowBuilder) -> tuple[Channel, ...]:

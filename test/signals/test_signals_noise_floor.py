@@ -6,7 +6,7 @@ from analytic_log import analytic_segment, noisy
 from random_robots import random_robot
 
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.weak_form import FORCES, MOTION, add_noise, noise_deviation
+from symbid_ros.signals.sensor_noise import FORCES, MOTION, add_noise, noise_deviation
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE

@@ -13,8 +13,9 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint, error_columns
 from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, UNITS, SensorErrors
+from symbid_ros.signals.sensor_noise import FORCES, MOTION
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import BLOCK, FORCES, MOTION, equation_rows, windowed_rows
+from symbid_ros.signals.weak_form import BLOCK, equation_rows, windowed_rows
 from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.simulator import Simulator
 

@@ -1,0 +1,84 @@
+"""White noise of sensor channels: its level below motion, and noise of that level.
+
+Between a tenth and a half of the sampling rate, motion rarely fills the whole spectrum. What is
+left between its bands and harmonics is noise (``docs/theory.md``).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.signals.decimation import power_spectrum
+from symbid_ros.signals.segments import Segment
+
+Channel = Literal["position", "angular_velocity", "effort", "wrenches", "linear_acceleration"]
+# Channels that are differentiated, whose noise enters the regressor. The accelerometer is excluded:
+# its averaged noise is small compared with gravity, and vibration of the base fills all its bands.
+MOTION: tuple[Channel, ...] = ("position", "angular_velocity")
+# Channels whose noise also enters the columns of sensor gains.
+FORCES: tuple[Channel, ...] = ("effort", "wrenches")
+# Beside offsets that drift, gravity does not tell masses: accelerations do, and their noise counts.
+ACCELERATION: tuple[Channel, ...] = ("linear_acceleration",)
+
+# The quietest of these equal bands, from this share of the rate up to half of it, is assumed to
+# hold only noise. Vibration rarely fills all of them.
+BANDS = 8
+LOWEST = 0.1
+# Magnitude of the expected minimum of eight standard normal variables, for the quietest band.
+LEAST_OF_BANDS = 1.4236
+# At least this share of the powers is free of harmonics. Powers above this multiple of the mean are
+# taken for harmonics, in this many passes.
+QUIET, EXCISION, EXCISIONS = 0.2, 3.0, 6
+
+
+def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
+    """Return the standard deviation (c,) of the white noise in signals (N, c).
+
+    The spectrum of white noise is flat, so its level in one quiet band holds for all bands. A
+    periodic gait has harmonics in each of them, and its noise is the level between these.
+    """
+    frequency, power = power_spectrum(channel, rate)
+    edges = np.searchsorted(frequency, np.linspace(LOWEST * rate, rate / 2, BANDS + 1))
+    bands = np.array([power[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a])
+    if len(bands) < BANDS:
+        return np.zeros(channel.shape[1])
+    # Neighbouring bins of a Hann window are correlated: about half of them are independent.
+    chance = LEAST_OF_BANDS / np.sqrt(max((edges[-1] - edges[0]) / BANDS / 1.94, 4.0))
+    quietest = bands.min(axis=0) / (1 - chance)
+    deviation: FloatArray = np.sqrt(np.minimum(quietest, _level_between_lines(power[edges[0] :])))
+    return deviation
+
+
+def _level_between_lines(power: FloatArray) -> FloatArray:
+    """Return the mean (c,) of exponentially distributed powers (F, c), of which some are lines.
+
+    Powers far above the mean of the others are left out, again and again (consecutive mean
+    excision; Henttu and Aromaa 2002, ISSSTA).
+    """
+    level = np.quantile(power, QUIET, axis=0) / -np.log1p(-QUIET)
+    # Mean of an exponential distribution up to EXCISION times its mean, over that mean.
+    kept_mean = 1 - EXCISION / np.expm1(EXCISION)
+    for _ in range(EXCISIONS):
+        kept = power <= EXCISION * level
+        level = np.sum(power * kept, axis=0) / np.maximum(kept.sum(axis=0), 1) / kept_mean
+    return np.asarray(level)
+
+
+def add_noise(segment: Segment, channels: Sequence[Channel]) -> Segment:
+    """Return the segment with as much noise added to the given channels as they already have.
+
+    The random numbers are reproducible.
+    """
+    # Seeds must not be negative, but stamps may be.
+    rng = np.random.default_rng([0, int(segment.stamp[0]) % 2**64, len(segment)])
+    noisy = {}
+    for name in channels:
+        signal = getattr(segment, name)
+        flat = signal.reshape(len(signal), -1)
+        noise = rng.standard_normal(flat.shape) * noise_deviation(flat, segment.rate)
+        noisy[name] = signal + noise.reshape(signal.shape)
+    return replace(segment, **noisy)
