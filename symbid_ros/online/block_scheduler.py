@@ -58,9 +58,9 @@ class BlockScheduler:
                 is_live=True,
             ),
             source,
+            round(lag * 1e9),
         )
         self._model = model
-        self._lag = round(lag * 1e9)
         # Poses are low-passed and differentiated, so more of them are needed.
         self._least_margin = LONGEST_MARGIN if selected.poses else 0
         self._period: float | None = None  # of the joint states, ns; None until enough arrived
@@ -165,7 +165,7 @@ class BlockScheduler:
         buffers = self.streams.buffers.values()
         margin = max(self._least_margin, resampling_margin(buffer.stamps for buffer in buffers))
         is_complete = complete is not None and complete >= stop + margin
-        return margin if is_complete or newest >= stop + max(self._lag, margin) else None
+        return margin if is_complete or newest >= stop + max(self.streams.lag, margin) else None
 
     def _align(self, start: int, stop: int, messages_until: int) -> TimeSpan:
         try:

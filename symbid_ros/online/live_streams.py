@@ -135,6 +135,8 @@ class LiveStreams:
         The sensor topics.
     source : str
         Name of the topics in messages to the user.
+    lag : int
+        How far topics may lag behind one another, ns.
     released_until : int or None
         End of the last released block, ns; messages with earlier stamps are late.
     buffers : dict of Topic to TopicBuffer
@@ -143,6 +145,7 @@ class LiveStreams:
 
     selected: SelectedTopics
     source: str
+    lag: int = 0
     released_until: int | None = None
     buffers: dict[Topic, TopicBuffer] = field(init=False)
     _clock: int | None = None
@@ -196,8 +199,8 @@ class LiveStreams:
                 self._drop_topic(buffer)
             return
         # The topic's first message may still have a stamp of the old clock.
-        is_first = self._clock is not None and buffer.newest is None
-        if is_first and abs(stamp - (self._clock or 0)) > CLOCK_JUMP:
+        ahead = stamp - (stamp if self._clock is None else self._clock)
+        if buffer.newest is None and not -max(self.lag, CLOCK_JUMP) <= ahead <= CLOCK_JUMP:
             buffer.stale += 1
             buffer.newest_stale = stamp
             return

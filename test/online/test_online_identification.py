@@ -187,6 +187,16 @@ def test_bursts_and_disordered_messages_change_nothing(start, feed, folded) -> N
     assert_same(live.solve(exactly=True).found.observations, folded)
 
 
+def test_topics_that_begin_late_lose_nothing_within_the_lag(start, feed, folded) -> None:
+    live = start(replace(UNPACED, lag=10.0), **LINKS)
+    clock, begin = live.streams.selected.clock.name, feed.messages[0][0]
+    # The first three seconds of the joint states arrive before any message of the others.
+    ordered = sorted(feed.messages, key=lambda m: m[1].name != clock or m[0] > begin + 3 * 10**9)
+    replace(feed, messages=tuple(ordered)).into(live, solving=100.0)
+    assert live.streams.stale == 0
+    assert_same(live.solve(exactly=True).found.observations, folded)
+
+
 def test_a_backward_clock_jump_restarts_the_clock_and_loses_nothing(
     start, feed, folded, caplog: pytest.LogCaptureFixture
 ) -> None:
