@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.change import discounted_prior, discounted_pseudo_measurements
 from symbid_ros.estimation.observations import Observations
@@ -16,6 +18,10 @@ COMPARABLE = 1e-2
 # tell the noise: the weight that they give it grows until the fit is exact.
 MOST_FITTED = 0.5
 
+# RMS of what an estimate adds to the residual of shorter windows' rows, as a share of the measured
+# forces, above which it misses what fast motion shows.
+MISSED_MOTION = 0.05
+
 # Factor by which the number of blocks grows between two comparisons online.
 COMPARE_AGAIN = 2
 
@@ -25,8 +31,10 @@ class WindowComparison:
 
     If sensor noise in the motion dominates some direction, the bias exceeds the standard
     deviations. If parameters fit most rows of a coordinate, its weight and the information are only
-    apparent, as with long windows of a coordinate that is seldom used. Such window lengths are
-    chosen only if all are like that.
+    apparent, as with long windows of a coordinate that is seldom used. If the model lacks an effect
+    that is fast, long windows average it, and their estimate errs where it is felt: it predicts the
+    rows of shorter windows worse than their own estimate does. Such window lengths are chosen only
+    if all are like that.
 
     Parameters
     ----------
@@ -142,11 +150,34 @@ def _most_informative(found: Sequence[Posterior], rows: Sequence[Observations], 
         factor = one.independent_factor
         noise.append(one.noise_share)
         fitted.append(float(data.fitted_share(factor @ factor.T, one.covariance).max()))
-    most_noise = max(SUSPICIOUS_NOISE, min(noise))
-    most_fitted = max(MOST_FITTED, min(fitted))
+    clean = np.array(noise) <= max(SUSPICIOUS_NOISE, min(noise))
+    judged = np.array(fitted) <= max(MOST_FITTED, min(fitted))
 
-    def rank(index: int) -> tuple[bool, bool, float]:
-        is_clean, is_judged = noise[index] <= most_noise, fitted[index] <= most_fitted
-        return is_clean, is_judged, found[index].gain(count)
+    def misses_motion(index: int) -> bool:
+        shorter = np.flatnonzero(clean[:index] & judged[:index]).tolist()
+        added = [_added_residual(rows[one], found[index], found[one]) for one in shorter]
+        return max(added, default=0.0) > MISSED_MOTION
+
+    def rank(index: int) -> tuple[bool, bool, bool, float]:
+        gain = found[index].gain(count)
+        return bool(clean[index]), bool(judged[index]), not misses_motion(index), gain
 
     return max(range(len(found)), key=rank)
+
+
+def _added_residual(rows: Observations, one: Posterior, best: Posterior) -> float:
+    """Return what an estimate adds to the residual of rows that another one fits best.
+
+    RMS of all coordinates together, relative to the measured forces.
+    """
+    count = np.maximum(rows.counts.diagonal(), 1.0)
+    mean_squares = [
+        float(np.sum(squares / count))
+        for squares in (
+            rows.rows.residual_moment(one.mean).diagonal(),
+            rows.rows.residual_moment(best.mean).diagonal(),
+            rows.rows.target_squares,
+        )
+    ]
+    added = max(mean_squares[0] - mean_squares[1], 0.0)
+    return float(np.sqrt(added / mean_squares[2])) if mean_squares[2] > 0 else 0.0

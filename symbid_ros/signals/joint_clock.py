@@ -27,8 +27,12 @@ LONGEST_GAP = 5.5
 FEWEST_MESSAGES = 50
 MOTION = 10.0  # roughnesses that a joint travels, as noise at rest does not
 LASTING = 4  # messages; a delay of more of them is no late message
-# Time, s, over which two clocks count as running at a constant ratio.
-STEADY = 2.5
+# Time, s, over which two clocks count as running at a constant ratio, and over which the period of
+# a loop may change.
+STEADY, BRIEF = 2.5, 0.25
+# Shares of the jitter and of a period that may last; more is a change of the period or a pause.
+LASTING_SHARE, LASTING_PART = 0.5, 0.5
+MOST_TURNS = 4  # of following such a change, each of which leaves a small part
 
 
 @dataclass(frozen=True)
@@ -152,6 +156,8 @@ def _uniform_times(
         uniform = _followed(number, time)
         if np.std(time - uniform) < LEAST_JITTER * period or (np.diff(uniform) <= 0).any():
             continue
+        if _lasts(time - uniform, LASTING, period):
+            continue
         rough = np.maximum(roughness(uniform, finite)[moving], 1e-12 * stamped[moving])
         change = float(np.mean(np.log(rough / stamped[moving])))
         if change < best:
@@ -193,9 +199,27 @@ def _stamped_numbers(time: FloatArray, period: float) -> FloatArray:
 def _followed(number: FloatArray, time: FloatArray) -> FloatArray:
     """Return a function of the sample's number that follows its times, (N,), slowly."""
     slope, offset = np.polyfit(number, time, 1)
-    line = offset + slope * number
-    if time[-1] - time[0] <= 4 * STEADY or slope <= 0:
-        return np.asarray(line)
+    followed = offset + slope * number
+    if slope <= 0:
+        return np.asarray(followed)
+    if time[-1] - time[0] > 4 * STEADY:
+        followed = followed + _average(time - followed, STEADY / slope)
+    for _ in range(MOST_TURNS):
+        if not _lasts(time - followed, BRIEF / slope, slope):
+            break
+        followed = followed + _average(time - followed, BRIEF / slope)
+    return np.asarray(followed)
+
+
+def _lasts(delay: FloatArray, samples: float, period: float) -> bool:
+    """Return whether delays (N,), s, last for more than some samples, as late messages' do not."""
+    limit = max(LASTING_PART * period, LASTING_SHARE * float(np.std(delay)))
+    return float(np.std(_average(delay, samples))) > limit
+
+
+def _average(values: FloatArray, samples: float) -> FloatArray:
+    """Return the Gaussian moving average of values (N,)."""
     from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415  (slow to load, rarely needed)
 
-    return np.asarray(line + gaussian_filter1d(time - line, STEADY / slope, mode="reflect"))
+    average: FloatArray = gaussian_filter1d(values, samples, mode="reflect")
+    return average

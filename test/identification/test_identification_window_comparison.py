@@ -1,8 +1,13 @@
 """Window lengths are compared again as data arrive, without delaying an estimate."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
+from gaussian_logs import gaussian_log, prior_of
 
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.window_comparison import WindowComparison, WindowSelector
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.package_paths import config_file
@@ -36,3 +41,20 @@ def test_a_comparison_in_steps_equals_one_at_once(problem) -> None:
     other, same = in_steps.finish()
     assert other is chosen
     assert (same.mean == near.mean).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("factor", "chosen"), [(1.0, 0.321), (1.02, 0.321), (1.5, 0.081)])
+def test_long_windows_are_not_chosen_if_they_miss_fast_motion(seed, factor, chosen) -> None:
+    """Long windows have less noise, but may average an effect that short ones show."""
+    rng, log = np.random.default_rng(seed), gaussian_log(seed, count=400)
+    force = log.K @ log.truth
+    size = np.sqrt(np.mean(force**2))
+
+    def averaged(window, share, gain):
+        y = gain * force + share * size * rng.normal(size=force.shape)
+        return replace(log, y=y, window=window).observations()
+
+    rows = averaged(0.081, 0.3, 1.0), averaged(0.321, 0.01, 1 / factor)
+    problem = Problem(rows, log.parameters, prior_of(log, seed))
+    assert WindowComparison(problem).finish()[0].window == chosen

@@ -88,6 +88,30 @@ def test_irregular_samples_with_right_stamps_stay() -> None:
     assert clock.jitter == 0
 
 
+@pytest.mark.parametrize("seconds", [4.0, 30.0])
+def test_a_loop_that_changes_its_period_is_followed(seconds) -> None:
+    rng = np.random.default_rng(8)
+    count = round(seconds / 1.7e-3)
+    sampled = np.cumsum(1.7e-3 + 0.2e-3 * np.sin(np.linspace(0, 3 * seconds / 4, count)))
+    recorded = stream(sampled + 0.3e-3 * np.abs(rng.standard_normal(count)), sampled, 1e-6)
+    clock = sampled_joints(recorded)
+    assert error(clock.joints.stamp, sampled) < 0.25 * 1.7e-3  # of a period
+
+
+def test_a_loop_that_pauses_keeps_its_stamps() -> None:
+    """Its samples are smoother by number where they were read before the pause."""
+    rng = np.random.default_rng(9)
+    steps = np.full(3000, 1.6e-3)
+    pauses = rng.choice(3000, 90, replace=False)
+    steps[pauses] += 4e-3
+    stamped = np.cumsum(steps) + 1e-4 * rng.random(3000)
+    read = stamped.copy()
+    read[pauses] -= 3.5e-3
+    clock = sampled_joints(stream(stamped, read))
+    assert not clock.copies.any()
+    assert error(clock.joints.stamp, stamped) < 0.1e-3
+
+
 def test_regular_logs_pass_as_they_are() -> None:
     sampled = np.arange(0, 5, 0.002)
     recorded = stream(sampled, sampled)
