@@ -254,7 +254,9 @@ def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
     if drift := verdict.describe_drift():
         lines.append(Text(drift))
     if verdict.unexplained:
-        lines.append(Text(f"at most {verdict.unexplained[0]}, apart from noise"))
+        worst = verdict.unexplained[0]
+        what = f"at most {worst}" if worst.size else "nothing unexplained"
+        lines.append(Text(f"{what}, apart from noise"))
     if scale := verdict.describe_mass_scale():
         lines.append(Text(scale))
     if not verdict.alarms:

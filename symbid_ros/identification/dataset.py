@@ -239,7 +239,9 @@ class _Coverage:
         if not warn:
             return
         for fault in self.faults[:1]:
-            logger.warning("%s; %d slices of the log are left out", fault, len(self.faults))
+            count = len(self.faults)
+            left_out = "a slice of the log is" if count == 1 else f"{count} slices of the log are"
+            logger.warning("%s; %s left out", fault, left_out)
         length = (self.last - int(self.first.stamp[0]) - self.paused) * 1e-9
         expected = round(length * self.first.rate) + 1
         ends = 1 + self.recording  # where resampling may lose an instant

@@ -28,6 +28,11 @@ RELEVANT = 1.05
 ROUNDING = 1e-12
 
 
+def differs_by_chance(before: float | None, after: float | None) -> bool:
+    """Return whether two errors that are equal beyond chance differ by a relevant factor."""
+    return bool(before and after) and not 1 / RELEVANT < (after or 1) / (before or 1) < RELEVANT
+
+
 @dataclass(frozen=True)
 class ForceError:
     """Error of predicted forces, at one coordinate or as the norm over several.

@@ -45,6 +45,11 @@ PRIOR_KEPT = (
     "more, {}"
 )
 
+UNPREDICTED = (
+    "the log does not predict its own end: {}; record longer and more varied motion, or correct "
+    "what differs there, such as a load or a contact"
+)
+
 
 def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identification]:
     """Identify a log; a trial without its last quarter shows how well that is predicted.
@@ -80,6 +85,8 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
             if better is not None:
                 problem, found, checked, forces = better
     found = problem.with_provenance(explained(problem, found))
+    if checked is not None and checked.advice == "unfit":
+        found = _with_alarm(found, UNPREDICTED.format(checked.summary))
     if forces is None:
         forces = _predict_end(problem, found, log.begin)
     found = replace(
@@ -88,6 +95,14 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
         report=report_data(problem, found, forces, log),
     )
     return problem, found
+
+
+def _with_alarm(found: Identification, alarm: str) -> Identification:
+    verdict = found.estimate.verdict
+    if verdict is None:
+        return found
+    verdict = replace(verdict, alarms=(*verdict.alarms, alarm))
+    return replace(found, estimate=replace(found.estimate, verdict=verdict))
 
 
 def _with_kept_prior(

@@ -152,8 +152,8 @@ def _log_unwritten(parameters: ParameterSet, estimate: Estimate, out: Path) -> N
     ]
     if lost:
         logger.warning(
-            "%s: model.urdf and model.xml cannot hold %s, which only estimate.json has; efforts "
-            "computed from these models lack it",
+            "%s: only estimate.json holds %s; efforts computed from model.urdf or model.xml leave "
+            "this out",
             out,
             " and ".join(lost),
         )

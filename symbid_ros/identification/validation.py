@@ -17,6 +17,7 @@ from symbid_ros.identification.force_errors import (
     ForceRows,
     TotalMass,
     compare_errors,
+    differs_by_chance,
 )
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result import Result
@@ -419,7 +420,9 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
         "better": "use it"
         if found.main.name in better
         else f"use it, {' and '.join(better)} got better",
-        "equal": "hardly differs from the original",
+        "equal": "too few data to tell whether it is better, repeat this with a longer log"
+        if differs_by_chance(found.percent_before, found.percent_after)
+        else "hardly differs from the original",
         "worse": "do not use it, it is worse than the original",
         "mixed": f"do not use it yet, {worse} got worse",
         "unfit": "do not use it, it errs by more than was measured (give the robot file, units and "

@@ -41,7 +41,7 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
         model = load_mjcf(path)
         _require_base(model, path, base)
         _report_ignored(path)
-    _report_massless(model)
+    _report_massless(model, is_base_known=base != "auto")
     return model
 
 
@@ -74,8 +74,9 @@ def _report_ignored(path: Path) -> None:
         )
 
 
-def _report_massless(model: RobotModel) -> None:
-    first = 0 if model.floating else 1
+def _report_massless(model: RobotModel, *, is_base_known: bool) -> None:
+    # The log of an arm may yet tell that its base is fixed.
+    first = 0 if model.floating and is_base_known else 1
     names = [
         link.name
         for link in model.links[first:]
@@ -83,9 +84,11 @@ def _report_massless(model: RobotModel) -> None:
     ]
     if names:
         logger.warning(
-            "%s: links %s move but have no mass; give each an <inertial>, or fix its joint",
+            "%s: %s no mass; give each an <inertial>, or fix its joint",
             model.source,
-            ", ".join(names),
+            f"link {names[0]} moves but has"
+            if len(names) == 1
+            else f"links {', '.join(names)} move but have",
         )
 
 

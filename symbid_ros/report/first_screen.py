@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.estimation.estimate import Estimate, HoldOut
-from symbid_ros.identification.force_errors import RELEVANT
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.identification.force_errors import differs_by_chance
 from symbid_ros.identification.holdout import REPEATED
 from symbid_ros.identification.report_data import ReportData
 from symbid_ros.identification.validation import percent, percent_change
@@ -62,7 +62,9 @@ def recommend(estimate: Estimate) -> Recommendation:
     )
     if holdout.advice == "better":
         return Recommendation("good", f"Use this model: {figure}{calm}.", repeats)
-    if holdout.advice == "equal" and _is_uncertain(holdout):
+    if holdout.advice == "equal" and differs_by_chance(
+        holdout.percent_before, holdout.percent_after
+    ):
         return Recommendation(
             "caution",
             f"The data held out are too few to tell whether this model is better: {figure}{calm}.",
@@ -99,14 +101,6 @@ def _predicts_better(estimate: Estimate) -> bool:
         return False
     widened = verdict.is_prior_scaled and verdict.prior_scale > verdict.largest_prior_scale
     return len(verdict.alarms) == widened + verdict.is_coloured
-
-
-def _is_uncertain(holdout: HoldOut) -> bool:
-    """Return whether an error changed by a relevant amount that may be chance."""
-    before, after = holdout.percent_before, holdout.percent_after
-    if not before or not after:
-        return False
-    return not 1 / RELEVANT < after / before < RELEVANT
 
 
 def _is_tried(estimate: Estimate) -> bool:

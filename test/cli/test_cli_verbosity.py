@@ -53,7 +53,7 @@ def test_verbose_names_steps_and_quiet_leaves_warnings_out(symbid_here, short, t
     )
     words = "prior", "--model", robot, "--percent", 5, "--out", tmp_path / "prior.json"
     (warning,) = symbid_here(*words).stderr.splitlines()
-    assert "have no mass" in warning
+    assert "link arm moves but has no mass" in warning
     assert symbid_here(*words, "-q").stderr == ""
 
 

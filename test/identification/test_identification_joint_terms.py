@@ -341,7 +341,7 @@ def test_terms_that_a_model_file_cannot_hold_are_named(tmp_path, caplog):
     robot = sy.load_model(tmp_path / "robot.urdf", "fixed")
     result = sy.identify(robot, log_of(robot, drives(robot), offset=0.7), unchecked=True)
     result.save(tmp_path / "out")
-    assert "model.urdf and model.xml cannot hold offset" in caplog.text
+    assert "only estimate.json holds offset; efforts" in caplog.text
 
 
 def test_friction_of_the_model_file_leaves_out_joints_that_rest():

@@ -155,6 +155,14 @@ def test_a_model_that_was_right_hardly_differs(arm) -> None:
     assert found.verdict.startswith("hardly differs from the original")
 
 
+def test_a_log_of_a_moment_tells_too_little(arm) -> None:
+    moment = log_of(arm.robot, HELD_OUT, count=130, start=START)
+    found = sy.validate(arm.identified(), moment)
+    assert found.percent_after < 0.5 * found.percent_before
+    assert (found.advice, found.is_better) == ("equal", False)
+    assert found.verdict.startswith("too few data to tell whether it is better, repeat this with a")
+
+
 @pytest.fixture(scope="module")
 def wrong_trunk(walker) -> sy.RobotModel:
     """A model whose only error, in the first link, shows in the wrench on the base alone."""
