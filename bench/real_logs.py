@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from further_data import FURTHER_DATA
+from laboratory_data import LABORATORY_DATA
 from least_squares import Sampled, Score, columns, sample, score, solve
 from real_data import REAL_DATA, FloatArray, MissingDataError, RealLog, to_log, write_files
 from threadpoolctl import threadpool_limits
@@ -30,7 +31,7 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.parameters import ParameterSet
 
-ALL_DATA = REAL_DATA | FURTHER_DATA
+ALL_DATA = REAL_DATA | FURTHER_DATA | LABORATORY_DATA
 
 
 def main() -> None:

@@ -15,7 +15,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.regressor import equation_of_motion
@@ -303,6 +302,8 @@ def noise_below_motion(signals: FloatArray, rate: float) -> FloatArray:
 
     The spectrum of motion falls with the second or fourth power of the frequency.
     """
+    from scipy.optimize import nnls  # noqa: PLC0415 - loads slowly, and is seldom needed
+
     frequency, power = power_spectrum(signals, rate)
     edges = np.searchsorted(frequency, np.linspace(HIGHEST * rate, rate / 2, PARTS + 1))
     parts = [slice(*ends) for ends in pairwise(edges.tolist())]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import drive_gains
 import further_data
+import laboratory_data
 import least_squares
 import numpy as np
 import pytest
@@ -235,6 +236,58 @@ def test_kinova_reads_the_measured_torques(tmp_path) -> None:
     np.testing.assert_allclose(log.training.position, values[:15, 1:8])
     np.testing.assert_allclose(log.heldout.effort, values[15:, 15:])
     assert np.diff(log.training.time) == pytest.approx(1e-3)
+
+
+def test_a_double_pendulum_reads_its_measured_torques_once_an_instant(tmp_path) -> None:
+    run, urdf = files_of("double_pendulum", tmp_path)
+    urdf.write_text(arm(["Joint1", "Joint2"], RNG))
+    names = "time,pos_meas1,pos_meas2,tau_con1,tau_meas1,tau_meas2"
+    values = np.column_stack([0.002 * np.arange(41), RNG.normal(size=(41, 5))])
+    values[20, 0] = values[19, 0]
+    write_table(run, names, values)
+    log = REAL_DATA["double_pendulum"].convert([run, urdf])
+    kept = np.delete(values, 20, axis=0)
+    np.testing.assert_allclose(log.training.position, kept[:30, 1:3])
+    np.testing.assert_allclose(log.heldout.effort, kept[30:, 4:])
+
+
+def test_a_gen3_has_continuous_angles_and_torques_of_the_other_sign(tmp_path) -> None:
+    *tables, urdf = files_of("gen3", tmp_path)
+    urdf.write_text(arm([f"joint_{index}" for index in range(1, 8)], RNG))
+    time = 3.0 + 0.01 * np.arange(40.0)
+    position, effort = motion(9 * time, 7), RNG.normal(size=(40, 7))
+    wrapped = (position + np.pi) % (2 * np.pi) - np.pi
+    for path, values in zip(tables, (wrapped, effort, time), strict=True):
+        np.savetxt(path, values)
+    log = REAL_DATA["gen3"].convert([*tables, urdf])
+    np.testing.assert_allclose(
+        np.diff(log.training.position, axis=0), np.diff(position, axis=0)[:29]
+    )
+    np.testing.assert_allclose(log.training.effort, -effort[:30])
+    assert log.training.time[0] == 0.0
+
+
+def test_an_airbot_is_read_at_100_hz(tmp_path) -> None:
+    *tables, urdf = files_of("airbot", tmp_path)
+    urdf.write_text(arm([f"joint{index}" for index in range(1, 7)], RNG))
+    position, effort = RNG.normal(size=(2, 40, 6))
+    for path, values in zip(tables, (position, effort), strict=True):
+        write_table(path, ",".join("abcdef"), values)
+    log = REAL_DATA["airbot"].convert([*tables, urdf])
+    np.testing.assert_allclose(log.heldout.position, position[30:])
+    np.testing.assert_allclose(log.heldout.effort, effort[30:])
+    assert np.diff(log.heldout.time) == pytest.approx(0.01)
+
+
+def test_the_pose_of_a_solo_12_gives_what_an_imu_feels(tmp_path) -> None:
+    """A base that turns about z at 2 rad/s and accelerates along the world's x axis."""
+    time = 0.01 * np.arange(60)
+    place = np.stack([1.5 * time**2, 0 * time, 0 * time], axis=1)
+    turn = Rotation.from_rotvec(np.outer(2 * time, [0, 0, 1]))
+    felt = laboratory_data._felt(time, place, turn)
+    np.testing.assert_allclose(felt[:, :3], [[0, 0, 2]] * 60, atol=1e-9)
+    force = turn.apply(felt[:, 3:])
+    np.testing.assert_allclose(force[2:-2], [[3.0, 0, 9.81]] * 56, atol=1e-9)
 
 
 def test_tiago_has_no_torque_of_its_torso_and_holds_other_joints(tmp_path) -> None:
