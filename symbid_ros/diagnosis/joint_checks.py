@@ -21,6 +21,9 @@ LEAST_CORRELATION = 0.9
 # Matching velocities outside this range of scales are filtered or wrongly scaled.
 SCALES = 0.5, 2.0
 ALIKE = 1.3
+# At least so many joints whose scales agree to this ratio, outside this range: they have the clock
+# of their stamps in common.
+SAME, FEWEST_SAME, CLOCK_SCALES = 1.02, 3, (0.8, 1.25)
 # A position further outside the limits, rad, is not the joint's.
 LIMIT_MARGIN = 0.35
 # Angles of a robot's only joint beyond this, rad, are degrees: few joints turn five times.
@@ -224,7 +227,20 @@ class JointCheck:
                 )
                 off &= ~like
         places = np.flatnonzero(off & ((scale < SCALES[0]) | (scale > SCALES[1]))).tolist()
-        if places:
+        if self._has_common_scale(scale[off]):
+            places = np.flatnonzero(off).tolist()
+            found.append(
+                Finding.of(
+                    self.topic,
+                    Kind.VELOCITY,
+                    f"velocities of {self._list_names(places)} are "
+                    f"{float(np.median(scale[places])):.3g} times the rate of change of the "
+                    "positions; check the rate of the stamps, then units and gear ratios",
+                    {f"{self.names[i]}/scale": float(scale[i]) for i in places},
+                    Severity.WARNING,
+                )
+            )
+        elif places:
             found.append(
                 Finding.of(
                     self.topic,
@@ -237,6 +253,13 @@ class JointCheck:
                 )
             )
         return found
+
+    @staticmethod
+    def _has_common_scale(scales: FloatArray) -> bool:
+        """Return whether the velocities of many joints are wrong by one factor (k,)."""
+        if len(scales) < FEWEST_SAME or scales.max() > SAME * scales.min():
+            return False
+        return not CLOCK_SCALES[0] < float(np.median(scales)) < CLOCK_SCALES[1]
 
     def _degree_findings(self, model: RobotModel) -> list[Finding]:
         """Return a finding if positions are within the limits only when read as degrees."""

@@ -39,10 +39,10 @@ def findings(joints, model=None, during=None):
 @pytest.mark.parametrize(
     ("scale", "kind", "severity", "says"),
     [
-        (1.98, None, None, ""),
-        (2.02, Kind.VELOCITY, Severity.WARNING, "velocity of all joints is 2.02 times"),
-        (0.51, None, None, ""),
-        (0.49, Kind.VELOCITY, Severity.WARNING, "velocity of all joints is 0.49 times"),
+        (1.24, None, None, ""),
+        (1.26, Kind.VELOCITY, Severity.WARNING, "velocities of all joints are 1.26 times"),
+        (0.81, None, None, ""),
+        (0.79, Kind.VELOCITY, Severity.WARNING, "check the rate of the stamps"),
         (-0.3, Kind.VELOCITY, Severity.UNUSABLE, "opposite signs"),
         (1.29 * DEGREES, Kind.UNIT, Severity.WARNING, "velocities of all joints are 57.3 times"),
         (1.31 * DEGREES, Kind.VELOCITY, Severity.WARNING, "times the rate"),
@@ -86,6 +86,16 @@ def test_each_joint_is_judged_by_itself():
     assert (units.kind, list(units.figures)) == (Kind.UNIT, ["foot/scale"])
     assert (scales.kind, list(scales.figures)) == (Kind.VELOCITY, ["knee/scale"])
     assert "velocity of knee is 3 times" in scales.message
+
+
+@pytest.mark.parametrize(
+    ("scale", "is_found"), [(1.98, False), (2.02, True), (0.51, False), (0.49, True)]
+)
+def test_one_joint_has_a_unit_of_its_own(scale, is_found):
+    joints = swinging()
+    joints.velocity[:, 1] *= scale
+    found = findings(joints)
+    assert [list(one.figures) for one in found] == [["knee/scale"]] * is_found
 
 
 def test_slices_add_up_and_messages_of_other_joints_are_ignored():
