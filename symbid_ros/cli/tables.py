@@ -196,14 +196,19 @@ def print_estimate(estimate: Estimate, out: Path) -> None:
 
 
 def print_links(console: Console, estimate: Estimate) -> None:
-    """Print each link's mass, determined parameters and physical possibility."""
+    """Print each link's mass, determined parameters and physical possibility.
+
+    A link of which nothing is stated or found is left out, such as the world of an arm.
+    """
     position = {name: index for index, name in enumerate(estimate.names)}
     rows: list[Row] = []
     for link, possible in estimate.consistent.items():
         mass = position[f"{link}/m"]
-        determined = "–"
-        if estimate.determined is not None:
-            determined = f"{int(estimate.determined[mass : mass + 10].sum())} of 10"
+        own = slice(mass, mass + 10)
+        count = 0 if estimate.determined is None else int(estimate.determined[own].sum())
+        if not count and not estimate.prior[own].any():
+            continue
+        determined = "–" if estimate.determined is None else f"{count} of 10"
         cells: list[Text | str] = [
             f"{estimate.prior[mass]:.3f}",
             f"{estimate.value[mass]:.3f}",

@@ -4,6 +4,7 @@ import io
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from report_pages import SENSORS, VERDICT, estimate
 from rich.console import Console
@@ -35,6 +36,16 @@ def test_each_link_has_a_row(printed):
     (line,) = [line for line in lines if "shin [left]" in line]
     assert line.split("│")[5].strip() == "5 of 10"
     assert all(len(cell.strip()) <= 11 for cell in line.split("│"))
+
+
+def test_a_link_of_which_nothing_is_known_has_none(printed):
+    world = np.arange(20) < 10  # the parameters of base_link
+    shown = estimate(("base_link", "shin [left]"), (), "map_lmi")
+    prior, found = np.where(world, 0.0, shown.prior), np.where(world, False, shown.determined)
+    assert not any("base_link" in line for line in printed(prior=prior, determined=found))
+    for some in ({"prior": prior}, {"determined": found}):
+        fields = {"prior": shown.prior, "determined": np.full(20, True), **some}
+        assert any("base_link" in line for line in printed(**fields))
 
 
 def test_the_last_lines_show_rows_directions_alarms_and_files(printed):
