@@ -22,6 +22,10 @@ MOST_FITTED = 0.5
 # forces, above which it misses what fast motion shows.
 MISSED_MOTION = 0.05
 
+# Share of the largest gain below which rows tell nothing, such as those of so few long windows that
+# no coordinate gets a weight.
+LEAST_GAIN = 0.1
+
 # Factor by which the number of blocks grows between two comparisons online.
 COMPARE_AGAIN = 2
 
@@ -150,17 +154,19 @@ def _most_informative(found: Sequence[Posterior], rows: Sequence[Observations], 
         factor = one.independent_factor
         noise.append(one.noise_share)
         fitted.append(float(data.fitted_share(factor @ factor.T, one.covariance).max()))
-    clean = np.array(noise) <= max(SUSPICIOUS_NOISE, min(noise))
-    judged = np.array(fitted) <= max(MOST_FITTED, min(fitted))
+    gain = np.array([one.gain(count) for one in found])
+    tells = gain >= min(LEAST_GAIN * gain.max(), gain.max())
+    clean = np.array(noise) <= max(SUSPICIOUS_NOISE, np.array(noise)[tells].min())
+    judged = np.array(fitted) <= max(MOST_FITTED, np.array(fitted)[tells].min())
 
     def misses_motion(index: int) -> bool:
-        shorter = np.flatnonzero(clean[:index] & judged[:index]).tolist()
+        shorter = np.flatnonzero((tells & clean & judged)[:index]).tolist()
         added = [_added_residual(rows[one], found[index], found[one]) for one in shorter]
         return max(added, default=0.0) > MISSED_MOTION
 
-    def rank(index: int) -> tuple[bool, bool, bool, float]:
-        gain = found[index].gain(count)
-        return bool(clean[index]), bool(judged[index]), not misses_motion(index), gain
+    def rank(index: int) -> tuple[float, ...]:
+        flags = tells[index], clean[index], judged[index], not misses_motion(index)
+        return *map(bool, flags), float(gain[index])
 
     return max(range(len(found)), key=rank)
 

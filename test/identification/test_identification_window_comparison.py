@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 from gaussian_logs import gaussian_log, prior_of
 
+from symbid_ros.estimation.verdict import SUSPICIOUS_NOISE
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.window_comparison import WindowComparison, WindowSelector
+from symbid_ros.identification.window_comparison import (
+    COMPARABLE,
+    WindowComparison,
+    WindowSelector,
+    solve_window,
+)
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.package_paths import config_file
 
@@ -58,3 +64,15 @@ def test_long_windows_are_not_chosen_if_they_miss_fast_motion(seed, factor, chos
     rows = averaged(0.081, 0.3, 1.0), averaged(0.321, 0.01, 1 / factor)
     problem = Problem(rows, log.parameters, prior_of(log, seed))
     assert WindowComparison(problem).finish()[0].window == chosen
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_windows_that_tell_nothing_are_not_chosen_for_their_little_noise(seed) -> None:
+    rng, log = np.random.default_rng(seed), gaussian_log(seed, count=400)
+    few = replace(log[:3], window=0.321).observations()
+    rows = log.with_noisy_regressor(rng, 1.0).observations(), few
+    prior = prior_of(log, seed, percent=300.0)
+    problem = Problem(rows, log.parameters, prior)
+    short, long = (solve_window(problem, one, None, COMPARABLE) for one in rows)
+    assert short.noise_share > SUSPICIOUS_NOISE > long.noise_share
+    assert WindowComparison(problem).finish()[0].window == log.window
