@@ -3,6 +3,8 @@
 Friction and armature of a drive are positive, but an effort may contain more than a drive. A torque
 sensor between gear and link does not feel the rotor. Its hysteresis, crosstalk between sensors and
 a base that bends may show less inertia than that of the links, or friction that falls with speed.
+Stribeck friction may be negative, as that of a joint whose friction rises with speed, but never by
+more than Coulomb friction.
 A likelihood-ratio test compares the best fits with and without positive signs. If the efforts
 contradict these, armatures are free, and friction as a whole must take power: its curve over speed,
 which viscous, Coulomb and Stribeck friction fit together, is positive at the speeds of the log.
@@ -42,10 +44,27 @@ def drive_bounds(parameters: ParameterSet, observations: Observations) -> Bounds
     """
     if not parameters.terms:
         return None
-    if not parameters.signed_drives:
-        return Bounds.nonnegative(parameters)
-    curves = friction_bounds(parameters, _typical_speed(parameters, observations))
+    if parameters.signed_drives:
+        curves = friction_bounds(parameters, _typical_speed(parameters, observations))
+    else:
+        curves = breakaway_bounds(parameters)
     return Bounds.nonnegative(parameters) + curves
+
+
+def breakaway_bounds(parameters: ParameterSet) -> Bounds:
+    """Return bounds by which the friction of each joint that begins to slip is not negative."""
+    columns = parameters.term_columns
+    if "stribeck" not in columns:
+        return Bounds((), np.zeros((0, len(parameters))), np.zeros(0), np.zeros(0))
+    joints = [parameters.model.joints[joint] for joint in parameters.joints.tolist()]
+    count = len(joints)
+    start = stribeck_column(np.full((1, count), COULOMB_SPEED), joints)[0]
+    curve: dict[Term, FloatArray] = {"coulomb": np.ones(count), "stribeck": start}
+    matrix = np.zeros((count, len(parameters)))
+    for term in columns.keys() & curve.keys():
+        matrix[np.arange(count), np.arange(count) + columns[term].start] = curve[term]
+    names = tuple(f"friction of {joint.name}" for joint in joints)
+    return Bounds(names, matrix, np.zeros(count), np.full(count, np.inf))
 
 
 def friction_bounds(parameters: ParameterSet, speed: FloatArray) -> Bounds:

@@ -9,8 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_robots import random_robot
 
+from symbid_ros.dynamics.regressor import COULOMB_SPEED, coulomb_column, stribeck_column
 from symbid_ros.estimation.passive_drives import (
     FASTEST,
+    breakaway_bounds,
     contradicts_signs,
     drive_bounds,
     friction_bounds,
@@ -46,6 +48,24 @@ def test_friction_that_gives_power_at_the_largest_speed_is_outside(coulomb, exce
     bounds = friction_bounds(ROBOT, np.full(len(ROBOT.joints), speed))
     margin = (bounds.matrix @ values).reshape(len(ROBOT.joints), -1)
     np.testing.assert_allclose(margin.min(axis=1), -excess)
+
+
+@given(sizes, st.floats(-10.0, 10.0))
+def test_friction_is_not_negative_when_a_joint_begins_to_slip(coulomb, stribeck):
+    values = np.zeros(len(ROBOT))
+    values[ROBOT.term_columns["coulomb"]] = coulomb
+    values[ROBOT.term_columns["stribeck"]] = stribeck
+    slow = np.full((1, len(ROBOT.joints)), COULOMB_SPEED)
+    joints = [ROBOT.model.joints[joint] for joint in ROBOT.joints]
+    friction = coulomb_column(slow) * coulomb + stribeck_column(slow, joints) * stribeck
+    bounds = breakaway_bounds(ROBOT)
+    np.testing.assert_allclose(bounds.matrix @ values, friction[0], atol=1e-12)
+    assert (bounds.lower == 0).all()
+    assert (bounds.upper == np.inf).all()
+
+
+def test_joints_without_stribeck_friction_need_no_such_bound():
+    assert not breakaway_bounds(replace(ROBOT, terms=TERMS[:3])).names
 
 
 def test_a_joint_at_rest_keeps_a_positive_slope():
