@@ -9,6 +9,7 @@ from real_data import (
     RealData,
     RealLog,
     Recording,
+    imu_readings,
     load_with_joints,
     load_without,
 )
@@ -20,7 +21,6 @@ from symbid_ros.signals.joint_clock import sampled_joints
 
 LEGS = ("FR", "FL", "RR", "RL")
 JUMP_FILES = ("joint_act.txt", "joint_des.txt", "torque.txt", "pos.txt")
-GRAVITY = np.array([0.0, 0.0, 9.81])  # m/s²
 TIAGO_ARM = tuple(f"arm_{index}_joint" for index in range(1, 8))
 
 
@@ -147,10 +147,7 @@ def _jump(folder: Path, order: list[int]) -> Recording:
     effort = np.hstack([torque[:, :4] + hips, torque[:, 12:20]])
     time = _clock(position, velocity)
     turn = Rotation.from_euler("ZYX", base[:, [8, 7, 6]])
-    step = (turn[:-2].inv() * turn[2:]).as_rotvec() / (time[2:] - time[:-2])[:, None]
-    rate = np.vstack([step[:1], step, step[-1:]])
-    felt = turn.inv().apply(np.gradient(base[:, :3], time, axis=0) + GRAVITY)
-    imu = np.hstack([rate, felt])
+    imu = imu_readings(time, turn, base[:, :3])
     return Recording(folder.name, time, position[:, order], effort[:, order], imu=imu)
 
 

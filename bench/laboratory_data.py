@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from real_data import FloatArray, RealData, RealLog, Recording
+from real_data import FloatArray, RealData, RealLog, Recording, imu_readings
 from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
 
-GRAVITY = np.array([0.0, 0.0, 9.81])  # m/s²
 SOLO_LEGS = "FL", "FR", "HL", "HR"
 GEN3 = "Examples/Kinova/SystemIdentification/IterativeSystemIdentification/full_params_data"
 AIRBOT = "examples/airbot_play/data"
@@ -22,7 +21,7 @@ def double_pendulum(files: Sequence[Path]) -> RealLog:
     position, effort = (
         np.column_stack([rows[f"{name}1"], rows[f"{name}2"]]) for name in ("pos_meas", "tau_meas")
     )
-    return _halved(sy.load_model(urdf, base="fixed"), rows["time"], position, effort, 10.0)
+    return _split(sy.load_model(urdf, base="fixed"), rows["time"], position, effort, 10.0)
 
 
 def gen3(files: Sequence[Path]) -> RealLog:
@@ -34,7 +33,7 @@ def gen3(files: Sequence[Path]) -> RealLog:
     position, effort, time = (np.loadtxt(one, ndmin=2) for one in rows)
     position = np.unwrap(position, axis=0)
     robot = sy.load_model(urdf, base="fixed")
-    return _halved(robot, time.ravel() - time.min(), position, -effort, 10.0)
+    return _split(robot, time.ravel() - time.min(), position, -effort, 10.0)
 
 
 def airbot(files: Sequence[Path]) -> RealLog:
@@ -42,37 +41,29 @@ def airbot(files: Sequence[Path]) -> RealLog:
     *rows, urdf = files
     position, effort = (np.loadtxt(one, delimiter=",", skiprows=1) for one in rows)
     time = 0.01 * np.arange(len(position))
-    return _halved(sy.load_model(urdf, base="fixed"), time, position, effort, 5.0)
+    return _split(sy.load_model(urdf, base="fixed"), time, position, effort, 5.0)
 
 
 def solo12(files: Sequence[Path]) -> RealLog:
-    """Read a trotting Solo 12 at 100 Hz, whose feet may touch the ground at all times.
+    """Read a trotting Solo 12 at 100 Hz.
 
-    There is no IMU: rate and specific force are those of the pose.
+    Nothing measures where its feet touch the ground. The log has no IMU either, so its readings are
+    computed from the pose of the base.
     """
     *rows, urdf = files
     robot = sy.load_model(urdf, base="floating")
     state, effort = (np.loadtxt(one, delimiter="\t").T[:2000] for one in rows)
     time = 0.01 * np.arange(len(state))
-    order = [
-        [f"{leg}_{joint}" for leg in SOLO_LEGS for joint in ("HAA", "HFE", "KFE")].index(name)
-        for name in robot.measured_joint_names
-    ]
-    imu = _felt(time, state[:, :3], Rotation.from_quat(state[:, 3:7]))
+    names = [f"{leg}_{joint}" for leg in SOLO_LEGS for joint in ("HAA", "HFE", "KFE")]
+    order = [names.index(name) for name in robot.measured_joint_names]
+    velocity = np.gradient(state[:, :3], time, axis=0)
+    imu = imu_readings(time, Rotation.from_quat(state[:, 3:7]), velocity)
     log = Recording("solo12", time, state[:, 7:][:, order], effort[:, order], imu=imu)
     feet = tuple(f"{leg}_FOOT" for leg in SOLO_LEGS)
     return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), cutoff=10.0, contacts=feet)
 
 
-def _felt(time: FloatArray, place: FloatArray, turn: Rotation) -> FloatArray:
-    """Return what an IMU in a base would read, (N, 6), from the base's pose."""
-    acceleration = np.gradient(np.gradient(place, time, axis=0), time, axis=0)
-    rate = (turn[:-2].inv() * turn[2:]).as_rotvec() / (time[2:] - time[:-2])[:, None]
-    rate = np.concatenate([rate[:1], rate, rate[-1:]])
-    return np.hstack([rate, turn.inv().apply(acceleration + GRAVITY)])
-
-
-def _halved(
+def _split(
     robot: sy.RobotModel, time: FloatArray, position: FloatArray, effort: FloatArray, cutoff: float
 ) -> RealLog:
     """Return a log whose last quarter is held out."""

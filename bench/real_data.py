@@ -31,6 +31,7 @@ Motion = Callable[[FloatArray, FloatArray], FloatArray]
 
 
 PLATE_CUTOFF = 5.0  # Hz
+GRAVITY = np.array([0.0, 0.0, 9.81])  # m/s²
 
 
 class MissingDataError(Exception):
@@ -73,6 +74,24 @@ class Recording:
             if isinstance(value, np.ndarray)
         }
         return replace(self, **arrays)
+
+
+def imu_readings(time: FloatArray, turn: Rotation, velocity: FloatArray) -> FloatArray:
+    """Return what an IMU would read, (N, 6), in a base whose pose alone was recorded.
+
+    Parameters
+    ----------
+    time : (N,) float64
+        s.
+    turn : Rotation
+        N rotations from the base to the world.
+    velocity : (N, 3) float64
+        In world axes, m/s.
+    """
+    rate = (turn[:-2].inv() * turn[2:]).as_rotvec() / (time[2:] - time[:-2])[:, None]
+    rate = np.concatenate([rate[:1], rate, rate[-1:]])
+    force = turn.inv().apply(np.gradient(velocity, time, axis=0) + GRAVITY)
+    return np.hstack([rate, force])
 
 
 @dataclass(frozen=True)

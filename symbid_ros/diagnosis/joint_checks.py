@@ -227,27 +227,18 @@ class JointCheck:
                 )
                 off &= ~like
         places = np.flatnonzero(off & ((scale < SCALES[0]) | (scale > SCALES[1]))).tolist()
+        what = "units and gear ratios of both"
         if self._has_common_scale(scale[off]):
             places = np.flatnonzero(off).tolist()
-            found.append(
-                Finding.of(
-                    self.topic,
-                    Kind.VELOCITY,
-                    f"velocities of {self._list_names(places)} are "
-                    f"{float(np.median(scale[places])):.3g} times the rate of change of the "
-                    "positions; check the rate of the stamps, then units and gear ratios",
-                    {f"{self.names[i]}/scale": float(scale[i]) for i in places},
-                    Severity.WARNING,
-                )
-            )
-        elif places:
+            what = "the rate of the stamps, then units and gear ratios"
+        if places:
             found.append(
                 Finding.of(
                     self.topic,
                     Kind.VELOCITY,
                     f"velocity of {self._list_names(places)} is "
                     f"{float(np.median(scale[places])):.3g} times the rate of change of the "
-                    "position; check units and gear ratios of both",
+                    f"position; check {what}",
                     {f"{self.names[i]}/scale": float(scale[i]) for i in places},
                     Severity.WARNING,
                 )

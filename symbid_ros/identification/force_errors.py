@@ -28,9 +28,9 @@ RELEVANT = 1.05
 ROUNDING = 1e-12
 
 
-def differs_by_chance(before: float | None, after: float | None) -> bool:
-    """Return whether two errors that are equal beyond chance differ by a relevant factor."""
-    return bool(before and after) and not 1 / RELEVANT < (after or 1) / (before or 1) < RELEVANT
+def differ_relevantly(before: float | None, after: float | None) -> bool:
+    """Return whether two errors differ by a relevant factor, perhaps by chance."""
+    return bool(before and after and not 1 / RELEVANT < after / before < RELEVANT)
 
 
 @dataclass(frozen=True)

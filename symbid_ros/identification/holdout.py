@@ -44,7 +44,6 @@ PRIOR_KEPT = (
     "the prior is kept at ±25 % (keep_prior): with the one that the data ask for, the trial erred "
     "more, {}"
 )
-
 UNPREDICTED = (
     "the log does not predict its own end: {}; record longer and more varied motion, or correct "
     "what differs there, such as a load or a contact"

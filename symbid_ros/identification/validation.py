@@ -17,7 +17,7 @@ from symbid_ros.identification.force_errors import (
     ForceRows,
     TotalMass,
     compare_errors,
-    differs_by_chance,
+    differ_relevantly,
 )
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result import Result
@@ -421,7 +421,7 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
         if found.main.name in better
         else f"use it, {' and '.join(better)} got better",
         "equal": "too few data to tell whether it is better, repeat this with a longer log"
-        if differs_by_chance(found.percent_before, found.percent_after)
+        if differ_relevantly(found.percent_before, found.percent_after)
         else "hardly differs from the original",
         "worse": "do not use it, it is worse than the original",
         "mixed": f"do not use it yet, {worse} got worse",

@@ -149,15 +149,16 @@ def solve_window(
 
 def _most_informative(found: Sequence[Posterior], rows: Sequence[Observations], count: int) -> int:
     """Return the index of the most informative rows for the first ``count`` parameters."""
-    noise, fitted = [], []
-    for one, data in zip(found, rows, strict=True):
+    noise, fitted = np.zeros(len(found)), np.zeros(len(found))
+    for index, (one, data) in enumerate(zip(found, rows, strict=True)):
         factor = one.independent_factor
-        noise.append(one.noise_share)
-        fitted.append(float(data.fitted_share(factor @ factor.T, one.covariance).max()))
+        noise[index] = one.noise_share
+        fitted[index] = data.fitted_share(factor @ factor.T, one.covariance).max()
     gain = np.array([one.gain(count) for one in found])
-    tells = gain >= min(LEAST_GAIN * gain.max(), gain.max())
-    clean = np.array(noise) <= max(SUSPICIOUS_NOISE, np.array(noise)[tells].min())
-    judged = np.array(fitted) <= max(MOST_FITTED, np.array(fitted)[tells].min())
+    best = gain.max()
+    tells = gain >= min(LEAST_GAIN * best, best)  # even if rounding makes all gains negative
+    clean = noise <= max(SUSPICIOUS_NOISE, noise[tells].min())
+    judged = fitted <= max(MOST_FITTED, fitted[tells].min())
 
     def misses_motion(index: int) -> bool:
         shorter = np.flatnonzero((tells & clean & judged)[:index]).tolist()

@@ -199,7 +199,7 @@ class LiveStreams:
                 self._drop_topic(buffer)
             return
         # The topic's first message may still have a stamp of the old clock.
-        ahead = stamp - (stamp if self._clock is None else self._clock)
+        ahead = 0 if self._clock is None else stamp - self._clock
         if buffer.newest is None and not -max(self.lag, CLOCK_JUMP) <= ahead <= CLOCK_JUMP:
             buffer.stale += 1
             buffer.newest_stale = stamp

@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.identification.force_errors import differs_by_chance
+from symbid_ros.identification.force_errors import differ_relevantly
 from symbid_ros.identification.holdout import REPEATED
 from symbid_ros.identification.report_data import ReportData
 from symbid_ros.identification.validation import percent, percent_change
@@ -62,7 +62,7 @@ def recommend(estimate: Estimate) -> Recommendation:
     )
     if holdout.advice == "better":
         return Recommendation("good", f"Use this model: {figure}{calm}.", repeats)
-    if holdout.advice == "equal" and differs_by_chance(
+    if holdout.advice == "equal" and differ_relevantly(
         holdout.percent_before, holdout.percent_after
     ):
         return Recommendation(

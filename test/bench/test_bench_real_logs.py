@@ -10,7 +10,6 @@ from pathlib import Path
 
 import drive_gains
 import further_data
-import laboratory_data
 import least_squares
 import numpy as np
 import pytest
@@ -279,12 +278,12 @@ def test_an_airbot_is_read_at_100_hz(tmp_path) -> None:
     assert np.diff(log.heldout.time) == pytest.approx(0.01)
 
 
-def test_the_pose_of_a_solo_12_gives_what_an_imu_feels(tmp_path) -> None:
+def test_the_pose_of_a_base_gives_what_an_imu_feels() -> None:
     """A base that turns about z at 2 rad/s and accelerates along the world's x axis."""
     time = 0.01 * np.arange(60)
     place = np.stack([1.5 * time**2, 0 * time, 0 * time], axis=1)
     turn = Rotation.from_rotvec(np.outer(2 * time, [0, 0, 1]))
-    felt = laboratory_data._felt(time, place, turn)
+    felt = real_data.imu_readings(time, turn, np.gradient(place, time, axis=0))
     np.testing.assert_allclose(felt[:, :3], [[0, 0, 2]] * 60, atol=1e-9)
     force = turn.apply(felt[:, 3:])
     np.testing.assert_allclose(force[2:-2], [[3.0, 0, 9.81]] * 56, atol=1e-9)

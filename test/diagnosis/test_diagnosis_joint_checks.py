@@ -40,7 +40,7 @@ def findings(joints, model=None, during=None):
     ("scale", "kind", "severity", "says"),
     [
         (1.24, None, None, ""),
-        (1.26, Kind.VELOCITY, Severity.WARNING, "velocities of all joints are 1.26 times"),
+        (1.26, Kind.VELOCITY, Severity.WARNING, "velocity of all joints is 1.26 times"),
         (0.81, None, None, ""),
         (0.79, Kind.VELOCITY, Severity.WARNING, "check the rate of the stamps"),
         (-0.3, Kind.VELOCITY, Severity.UNUSABLE, "opposite signs"),

@@ -33,9 +33,9 @@ LINK = """
     </inertial>
   </link>"""
 JOINT = """
-  <joint name="{name}" type="{kind}">
-    <parent link="{parent}"/><child link="{child}"/>
-    <origin xyz="{place}"/><axis xyz="{axis}"/>{more}
+  <joint name="{}" type="{}">
+    <parent link="{}"/><child link="{}"/>
+    <origin xyz="{}"/><axis xyz="{}"/>{}
   </joint>"""
 LIMIT = '<limit lower="-1.6" upper="1.6" effort="40" velocity="9"/>'
 FREE = '<limit effort="40" velocity="9"/>'
@@ -45,33 +45,9 @@ URDF = "".join(
         LINK.format(name="upper", com="0.1 0.02 0.05", mass=2.0),
         LINK.format(name="lower", com="0.12 -0.03 0.01", mass=1.5),
         LINK.format(name="hand", com="0.05 0.02 0.06", mass=0.8),
-        JOINT.format(
-            name="shoulder",
-            kind="continuous",
-            parent="world",
-            child="upper",
-            place="0 0 1",
-            axis="1 0 0",
-            more=FREE,
-        ),
-        JOINT.format(
-            name="elbow",
-            kind="revolute",
-            parent="upper",
-            child="lower",
-            place=".3 0 0",
-            axis="0 1 0",
-            more=LIMIT,
-        ),
-        JOINT.format(
-            name="wrist",
-            kind="continuous",
-            parent="lower",
-            child="hand",
-            place=".25 0 0",
-            axis="0 0 1",
-            more=FREE,
-        ),
+        JOINT.format("shoulder", "continuous", "world", "upper", "0 0 1", "1 0 0", FREE),
+        JOINT.format("elbow", "revolute", "upper", "lower", ".3 0 0", "0 1 0", LIMIT),
+        JOINT.format("wrist", "continuous", "lower", "hand", ".25 0 0", "0 0 1", FREE),
         "\n</robot>\n",
     ]
 )
@@ -216,15 +192,8 @@ def test_renamed_wrapped_joints_lead_their_mimics(wrapped_streams, streams, urdf
     names = ("j1", "j2", "j3")
     joints = replace(wrapped_streams.joints, names=names)
     bag = write_bag(replace(wrapped_streams, joints=joints), tmp_path / "renamed")
-    follower = JOINT.format(
-        name="follower",
-        kind="continuous",
-        parent="hand",
-        child="tip",
-        place="0 0 .1",
-        axis="0 1 0",
-        more='<mimic joint="shoulder" multiplier="-0.5" offset="0.2"/>',
-    )
+    mimic = '<mimic joint="shoulder" multiplier="-0.5" offset="0.2"/>'
+    follower = JOINT.format("follower", "continuous", "hand", "tip", "0 0 .1", "0 1 0", mimic)
     path = tmp_path / "mimic.urdf"
     tip = LINK.format(name="tip", com="0 0 .02", mass=0.1)
     path.write_text(URDF.replace("\n</robot>", f"{tip}{follower}\n</robot>"))
