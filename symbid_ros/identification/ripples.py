@@ -3,7 +3,8 @@
 For each revolute joint and each number of periods, the residuals tell how much their squares would
 fall with the two columns of such a torque, all other parameters adjusted (a score test). The best
 number of each joint is a candidate, and those that improve the prediction of rows that are left out
-are added.
+are added. A joint that meets its angles only once or twice is left out: there, any slow change is
+a function of the angle too.
 """
 
 import logging
@@ -31,6 +32,8 @@ logger = logging.getLogger(__name__)
 PERIODS = range(2, 41)
 # Share of a joint's square residuals that a candidate must explain.
 LEAST_SHARE = 0.2
+# How often a joint passes over the range of its angles, at least.
+LEAST_PASSES = 2.5
 # Share of a column's square that the known columns leave, below which they replace it.
 REPLACED = 1e-6
 
@@ -54,7 +57,7 @@ def find_ripples(solver: Solver, dataset: Dataset) -> tuple[Ripple, ...]:
     if choice is None or choice.parameters.ripples or not leaves_residuals(solver):
         return ()
     training = training_part(solver, dataset)
-    likely = _likely_ripples(solver, training)
+    likely = _likely_ripples(solver, training, _passes(dataset.segments, solver.chosen.window))
     if not likely:
         return ()
     parameters = replace(choice.parameters, ripples=likely)
@@ -76,8 +79,10 @@ def find_ripples(solver: Solver, dataset: Dataset) -> tuple[Ripple, ...]:
     return tuple(sorted(ripples, key=lambda one: one.joint))
 
 
-def _likely_ripples(solver: Solver, training: Iterable[Segment]) -> tuple[Ripple, ...]:
-    """Return the best ripple of each joint that explains enough of its residuals."""
+def _likely_ripples(
+    solver: Solver, training: Iterable[Segment], passes: FloatArray
+) -> tuple[Ripple, ...]:
+    """Return the best ripple of each joint (J,) that explains enough of its residuals."""
     problem, posterior = solver.problem, solver.posterior
     prior = posterior.prior
     parameters = problem.parameters
@@ -85,8 +90,12 @@ def _likely_ripples(solver: Solver, training: Iterable[Segment]) -> tuple[Ripple
     joints = [
         joint
         for joint in parameters.joints.tolist()
-        if model.joints[joint].kind == "revolute" and joint not in model.followers
+        if model.joints[joint].kind == "revolute"
+        and joint not in model.followers
+        and passes[joint] >= LEAST_PASSES
     ]
+    if not joints:
+        return ()
     choice = problem.choice
     assert choice is not None
     build = _RippleRows(problem.row_builder, parameters)
@@ -115,6 +124,18 @@ def _likely_ripples(solver: Solver, training: Iterable[Segment]) -> tuple[Ripple
         if shares[best] > LEAST_SHARE:
             found.append(Ripple(joint, PERIODS[best]))
     return tuple(found)
+
+
+def _passes(segments: Iterable[Segment], window: float) -> FloatArray:
+    """Return how often each joint (J,) passes over the range of its angles, at most a turn.
+
+    Noise moves no joint, so angles are compared at intervals of a window's length, s.
+    """
+    angles = [part.position[:: max(1, round(window * part.rate))] for part in segments]
+    way = np.sum([np.abs(np.diff(part, axis=0)).sum(axis=0) for part in angles], axis=0)
+    reach = np.minimum(np.ptp(np.concatenate(angles), axis=0), 2 * np.pi)
+    passes: FloatArray = np.divide(way, reach, out=np.zeros_like(reach), where=reach > 0)
+    return passes
 
 
 def _explained_shares(moment: FloatArray, deviations: FloatArray) -> FloatArray:

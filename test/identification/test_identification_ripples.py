@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from drive_logs import arm, drives, log_of
+from drive_logs import NOISE, RATE, SECONDS, arm, drives, log_of, samples_of
 
 import symbid_ros as sy
+from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import ModelError
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.model.export_urdf import urdf_text
@@ -50,6 +51,27 @@ def test_a_ripple_is_found(robot, found):
     is_right(found, robot.joint_names[JOINT])
     assert f"{robot.joint_names[JOINT]}: {PERIODS}" in found.estimate.describe_terms()
     assert found.estimate.holdout.percent_after < 1.0
+
+
+def sweeps(robot, count):
+    """Return a log in which the joint with the ripple passes over its range ``count`` times."""
+    time = np.arange(0.0, SECONDS, 1 / RATE)
+    passes = np.arange(7.0, 7.0 + len(robot.joints))
+    passes[JOINT] = count
+    rate = passes * np.pi / SECONDS
+    angle = rate * time[:, None]
+    motion = -2 * np.cos(angle), 2 * rate * np.sin(angle), 2 * rate**2 * np.cos(angle)
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    rows = equation_of_motion(truth, samples_of(robot, time, *motion))
+    effort = rows.K @ truth.values - rows.y + ripple(motion[0])
+    effort += NOISE * effort.std(axis=0) * np.random.default_rng(0).normal(size=effort.shape)
+    return sy.Log.from_arrays(robot, time=time, position=motion[0], effort=effort)
+
+
+@pytest.mark.parametrize(("count", "expected"), [(2, ()), (6, (Ripple(JOINT, PERIODS),))])
+def test_a_ripple_is_searched_for_if_angles_come_back(robot, count, expected):
+    found = sy.identify(robot, sweeps(robot, count), unchecked=True, no_holdout=True)
+    assert ParameterSet.of_names(robot, found.estimate.names).ripples == expected
 
 
 def test_the_links_are_as_with_a_log_without_the_ripple(robot, found):
