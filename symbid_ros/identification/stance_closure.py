@@ -5,6 +5,9 @@ pose of each in the world if that of the base is measured, as by motion capture.
 and the model say of it varies if lengths, axes or offsets are wrong. These rows contain no force,
 so that they tell the geometry apart from inertias. The constant pose itself is unknown.
 
+Soles and floors yield a little under a load, which moves from foot to foot with the posture, as
+wrong lengths would let it seem. By how much is unknown too.
+
 A measured pose also tells the common scale of all lengths. How the tracked frame is fixed to its
 link, and how late the poses are, are unknown too. These unknowns are eliminated.
 """
@@ -40,13 +43,15 @@ BLOCK = 40
 POSTURES = 25
 # RMS residuals above these, rad and m, mean that soles moved or are points.
 LARGEST = np.repeat([np.radians(0.5), 3e-3], 3)
-# Deviations that are always allowed for, rad and m: soles and floors yield with the posture, which
-# wrong lengths can imitate.
+# Deviations that are always allowed for, rad and m: soles creep.
 LEAST = np.repeat([1e-4, 5e-5], 3)
 PASSES = 3  # of the deviations of residuals
-# Decrease of the cost by displaced joints from which these are evident. It is 25 to 50 for right
-# lengths, as soles yield, and 400 to 1000 for lengths that are wrong by 1 to 2 mm.
-CONTRADICTION = 100.0
+# Decrease of the cost by displaced joints from which these are evident. It is up to 32 for right
+# lengths, as soles creep, and 140 to 700 for lengths that are wrong by 1 to 2 mm.
+CONTRADICTION = 75.0
+
+# Prior deviations of how much a sole yields, rad/Nm and m/N.
+YIELDING = np.repeat([1e-3, 1e-4], 3)
 
 # Prior deviations of a tracked frame's rotation and position on its link, and of its delay.
 MOUNTING = np.array([*3 * [np.radians(1.0)], *3 * [0.01], 0.01])  # rad, m, s
@@ -54,10 +59,21 @@ MOUNTING = np.array([*3 * [np.radians(1.0)], *3 * [0.01], 0.01])  # rad, m, s
 
 @dataclass(frozen=True)
 class Stance:
-    """Joint positions (N, J) while two soles, given by their frames, rest on the floor."""
+    """Two soles that rest on the floor.
+
+    Attributes
+    ----------
+    soles : (str, str)
+        Their frames.
+    position : (N, J) float64
+        Joint positions.
+    wrenches : (N, 2, 6) float64
+        Moment and force that act on each sole, in its frame.
+    """
 
     soles: tuple[str, str]
     position: FloatArray
+    wrenches: FloatArray
 
 
 @dataclass(frozen=True)
@@ -106,7 +122,8 @@ def find_stances(segments: Iterable[Segment], model: RobotModel) -> RestingSoles
         starts = np.flatnonzero(np.diff(segment.stamp // PERIOD, prepend=-1))
         mean = partial(_means, starts=starts)
         position = mean(segment.position)
-        rests = np.linalg.norm(mean(segment.wrenches[..., 3:]), axis=2) > RESTING_LOAD * weight
+        wrenches = mean(segment.wrenches)
+        rests = np.linalg.norm(wrenches[..., 3:], axis=2) > RESTING_LOAD * weight
         feet = [
             place
             for place, frame in enumerate(segment.wrench_frames)
@@ -115,7 +132,7 @@ def find_stances(segments: Iterable[Segment], model: RobotModel) -> RestingSoles
         for one, other in combinations(feet, 2):
             names = segment.wrench_frames[one], segment.wrench_frames[other]
             runs = _runs(rests[:, one] & rests[:, other])
-            pairs += [Stance(names, position[run]) for run in runs]
+            pairs += [Stance(names, position[run], wrenches[run][:, [one, other]]) for run in runs]
         if segment.poses is None:
             continue
         time = mean(1e-9 * (segment.stamp - segment.stamp[0]))
@@ -185,12 +202,14 @@ def contradicted_geometry(stances: RestingSoles, model: RobotModel) -> str:
     for kinds in (("encoder_offset", *KINEMATIC_ERRORS), ("encoder_offset",)):
         errors = SensorErrors.of(kinds, model, frames, ())
         geometry = _Geometry(errors, model, model, np.zeros(len(errors)))
-        pose, slopes = geometry.of_pairs(stances.pairs).linearized(np.zeros(0))
+        closures = geometry.of_pairs(stances.pairs)
+        pose, slopes = closures.linearized(np.zeros(len(closures.others)))
+        prior = np.concatenate([closures.others, errors.std])
         std = np.sqrt(_repeats(len(pose))) * LEAST
-        A, b = (slopes / std[:, None]).reshape(-1, len(errors)), (-pose / std).reshape(-1)
-        best = np.linalg.solve(A.T @ A + np.diag(errors.std**-2), A.T @ b)
+        A, b = (slopes / std[:, None]).reshape(-1, len(prior)), (-pose / std).reshape(-1)
+        best = np.linalg.solve(A.T @ A + np.diag(prior**-2), A.T @ b)
         left = -pose - slopes @ best
-        costs.append(float(np.sum((left / std) ** 2) + np.sum((best / errors.std) ** 2)))
+        costs.append(float(np.sum((left / std) ** 2) + np.sum((best / prior) ** 2)))
     size = np.sqrt(np.mean(left**2, axis=0))
     # Points and feet that move are no evidence of lengths.
     if costs[1] - costs[0] < CONTRADICTION or np.any(size > LARGEST):
@@ -265,15 +284,24 @@ class _Geometry:
     theta: FloatArray
 
     def of_pairs(self, stances: Sequence[Stance]) -> _Closures:
-        """Return the poses of second soles in first ones: rotation vectors and positions."""
+        """Return the poses of second soles in first ones: rotation vectors and positions.
+
+        Further unknowns are how much a sole turns by a moment about each of its axes, and moves by
+        a force along each.
+        """
         poses, slopes = [], []
         for one in stances:
             relative, lever, slope = self._relative(*one.soles, one.position)
             pose = np.concatenate([_deviation(relative), lever], axis=1)
+            slope = np.concatenate([_yielding(one.wrenches, relative, lever), slope], axis=2)
             poses.append(pose - pose.mean(axis=0))
             slopes.append(slope - slope.mean(axis=0))
-        both = np.concatenate(poses), np.concatenate(slopes)
-        return _Closures(lambda _: both, np.zeros(0), _is_next(poses))
+        pose, slope = np.concatenate(poses), np.concatenate(slopes)
+
+        def linearized(others: FloatArray) -> tuple[FloatArray, FloatArray]:
+            return pose + slope[:, :, : len(others)] @ others, slope
+
+        return _Closures(linearized, YIELDING, _is_next(poses))
 
     def of_tracked(self, stances: Sequence[TrackedStance]) -> _Closures:
         """Return the poses of soles in the world.
@@ -329,6 +357,24 @@ class _Geometry:
         screws = np.stack([screws_at_base(poses, joint) for joint in placed.joints], axis=1)
         errors.fill_placements(slopes, seen(screws).swapaxes(1, 2), self.nominal, self.theta)
         return relative, lever, slopes
+
+
+def _yielding(wrenches: FloatArray, relative: Rotation, lever: FloatArray) -> FloatArray:
+    """Return how the second sole's pose in the first changes if soles yield, (N, 6, 6).
+
+    Parameters
+    ----------
+    wrenches : (N, 2, 6) float64
+        On both soles, each in its own axes.
+    relative, lever : Rotation, (N, 3) float64
+        The second sole in the first.
+    """
+    first = wrenches[:, 0].reshape(-1, 2, 3)
+    second = np.stack([relative.apply(wrenches[:, 1, k : k + 3]) for k in (0, 3)], axis=1)
+    change = (second - first).reshape(-1, 6)
+    columns = change[:, :, None] * np.eye(6)
+    columns[:, 3:, :3] = _cross_matrix(lever) * first[:, None, 0]
+    return columns
 
 
 def _in_world(

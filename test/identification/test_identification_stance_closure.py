@@ -49,16 +49,30 @@ def relative_pose(model, position):
     return inverse @ second, (inverse @ (end - start)[..., None])[..., 0]
 
 
-def readings(parameters, errors, theta, count, rng):
-    """Return what encoders read in random postures in which the soles do not move."""
+def stance_of(position):
+    """Return a stance of soles that carry no load, so that they do not yield."""
+    return Stance(SOLES, position, np.zeros((len(position), 2, 6)))
+
+
+def readings(parameters, errors, theta, count, rng, yielding=None):
+    """Return what encoders read in random postures in which the soles do not move.
+
+    ``yielding`` are displacements (count, 2, 6) of both soles in their axes, rad and m.
+    """
     true = errors.placed(parameters, theta).model
     offset = errors.of_kind("encoder_offset", theta)[:, 0]
     turn, place = relative_pose(true, np.zeros((1, len(true.joints))))
+    if yielding is not None:
+        one, other = (Rotation.from_rotvec(yielding[:, k, :3]) for k in (0, 1))
+        place = one.inv().apply(
+            place - yielding[:, 0, 3:] + Rotation.from_matrix(turn).apply(yielding[:, 1, 3:])
+        )
+        turn = (one.inv() * Rotation.from_matrix(turn) * other).as_matrix()
     posture = 0.2 * rng.standard_normal((count, len(true.joints)))
 
     def misfit(posture):
         one, other = relative_pose(true, posture)
-        left = Rotation.from_matrix(one @ turn[0].T).as_rotvec()
+        left = Rotation.from_matrix(one @ turn.swapaxes(1, 2)).as_rotvec()
         return np.concatenate([left, other - place], axis=1)
 
     for _ in range(12):  # Newton's method of least change
@@ -73,7 +87,7 @@ def readings(parameters, errors, theta, count, rng):
 def test_resting_soles_tell_the_geometry(parameters):
     errors, rng = errors_of(parameters), np.random.default_rng(0)
     truth = errors.std * rng.standard_normal(len(errors))
-    stance = Stance(SOLES, readings(parameters, errors, truth, 60, rng))
+    stance = stance_of(readings(parameters, errors, truth, 60, rng))
     p, theta = len(parameters), np.zeros(len(errors))
     for _ in range(2):
         point = LinearizationPoint(parameters.values, theta)
@@ -96,6 +110,27 @@ def test_resting_soles_tell_the_geometry(parameters):
     assert np.linalg.norm(at_truth.rows[:, p:] @ truth - at_truth.targets) < 0.3
 
 
+def test_soles_that_yield_to_their_load_tell_the_geometry_as_well(parameters):
+    errors, rng = errors_of(parameters), np.random.default_rng(2)
+    truth = 0.3 * errors.std * rng.standard_normal(len(errors))
+    wrenches = rng.standard_normal((60, 2, 6)) * np.repeat([4.0, 50.0], 3)
+    yielding = wrenches * np.repeat([2e-4, 3e-6], 3)
+    position = readings(parameters, errors, truth, 60, rng, yielding)
+    point = LinearizationPoint(parameters.values, truth)
+
+    def misses(stance):
+        """Return by how many deviations the true geometry misses the rows."""
+        rows = closure_rows(RestingSoles((stance,)), parameters, errors, point)
+        return np.linalg.norm(rows.rows[:, len(parameters) :] @ truth - rows.targets)
+
+    assert misses(Stance(SOLES, position, wrenches)) < 0.3
+    assert misses(stance_of(position)) > 3.0
+    alarm = contradicted_geometry(
+        RestingSoles((Stance(SOLES, position, wrenches),)), errors.placed(parameters, truth).model
+    )
+    assert alarm == ""
+
+
 def test_resting_soles_contradict_wrong_lengths_but_no_encoder_offsets(parameters):
     """Offsets of encoders, which are estimated, explain what their errors do to the poses."""
     errors, model = errors_of(parameters), parameters.model
@@ -105,7 +140,7 @@ def test_resting_soles_contradict_wrong_lengths_but_no_encoder_offsets(parameter
         for kind in kinds:
             place = errors.places[kind]
             truth[place] = errors.std[place] * rng.standard_normal(place.stop - place.start)
-        stance = Stance(SOLES, readings(parameters, errors, truth, 200, rng))
+        stance = stance_of(readings(parameters, errors, truth, 200, rng))
         alarm = contradicted_geometry(RestingSoles((stance,)), model)
         assert ("link lengths" in alarm) == expected
     assert contradicted_geometry(RestingSoles(), model) == ""
@@ -118,7 +153,7 @@ def test_postures_that_repeat_are_no_further_evidence(parameters, scale, expecte
     truth = scale * errors.std * rng.standard_normal(len(errors))
     position = readings(parameters, errors, truth, 60, rng)
     for times in (17, 170):
-        stance = Stance(SOLES, np.tile(position, (times, 1)))
+        stance = stance_of(np.tile(position, (times, 1)))
         alarm = contradicted_geometry(RestingSoles((stance,)), parameters.model)
         assert ("link lengths" in alarm) == expected
 
@@ -192,7 +227,8 @@ def test_points_that_roll_give_no_rows(parameters, caplog):
     errors = errors_of(parameters)
     position = 0.2 * np.random.default_rng(1).standard_normal((50, len(parameters.model.joints)))
     point = LinearizationPoint(parameters.values, np.zeros(len(errors)))
-    assert closure_rows(RestingSoles((Stance(SOLES, position),)), parameters, errors, point) is None
+    stances = RestingSoles((stance_of(position),))
+    assert closure_rows(stances, parameters, errors, point) is None
     assert "soles moved" in caplog.text
     assert closure_rows(RestingSoles(), parameters, errors, point) is None
 
@@ -211,3 +247,5 @@ def test_stances_are_where_two_feet_are_loaded():
     assert stances.tracked == ()
     for one in stances.pairs:
         assert one.soles == segment.wrench_frames
+        assert one.wrenches.shape == (len(one.position), 2, 6)
+        np.testing.assert_allclose(one.wrenches[..., 5], 0.5 * weight)
