@@ -17,8 +17,10 @@ from symbid_ros.signals.weak_form import INFLATION, WindowedRows
 
 # Independent samples per coordinate below which covariances between coordinates are not estimated.
 SAMPLES_PER_COORDINATE = 3
-# A residual below this share of a coordinate's mean square is rounding.
-ROUNDING = 1e-14
+# Smallest mean square residual as a share of that of the coordinate, and of the largest of all
+# coordinates: simulators and interpolation are no more exact, and weights from smaller residuals
+# would bend the estimate to explain these errors.
+LEAST_OWN, LEAST_OF_ALL = 1e-10, 1e-14
 # Multiples of the diagonal that make a moment positive definite despite rounding, tried in turn.
 REGULARIZATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8)
 # Factor on the variance of a coordinate that gets no weight.
@@ -334,10 +336,10 @@ class Observations:
 
     @property
     def _least_residual(self) -> FloatArray:
-        """(n,) variances below which a residual is rounding."""
+        """(n,) variances that are always added to those of the residuals."""
         scale = self.rows.target_squares / np.maximum(self.counts.diagonal(), 1)
         largest = float(scale.max()) or 1.0
-        return np.asarray(ROUNDING * scale + 1e-4 * ROUNDING * largest)
+        return np.asarray(LEAST_OWN * scale + LEAST_OF_ALL * largest)
 
     @property
     def _scarce(self) -> BoolArray:

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Term
 from symbid_ros.dynamics.regressor import COULOMB_SPEED, stribeck_column
 from symbid_ros.estimation.constraints import Bounds
@@ -31,6 +31,9 @@ CURVE: tuple[Term, ...] = ("viscous", "coulomb", "stribeck")
 SPEEDS, FASTEST = 4, 2.0
 # Probability of efforts that contradict positive signs by chance.
 CHANCE = 1e-4
+# Share of a joint's effort (RMS) that a term of the wrong sign must contribute, and the least
+# effort as a share of the largest. Less, in a log without noise, is an error of the simulator.
+LEAST_SHARE, LEAST_EFFORT = 1e-3, 1e-2
 
 
 def drive_bounds(parameters: ParameterSet, observations: Observations) -> Bounds | None:
@@ -147,7 +150,27 @@ def contradicts_signs(
         )
 
     signed = best(relaxed)
-    if np.all(signed.value[: len(tested)][tested] >= 0):
+    if not np.any(tested & _is_felt(np.minimum(signed.value, 0.0), parameters, observations)):
         return False
     loss = best(parameters).moved ** 2 - signed.moved**2
     return bool(loss > chdtri(np.count_nonzero(tested), CHANCE))
+
+
+def _is_felt(value: FloatArray, parameters: ParameterSet, observations: Observations) -> BoolArray:
+    """Return which joint terms (p,) with these values contribute to the efforts of their joints.
+
+    Joints without rows of their own feel every term.
+    """
+    felt = np.zeros(len(parameters), bool)
+    first = 6 * parameters.model.floating
+    rows = np.maximum(observations.counts.diagonal(), 1.0)
+    efforts = observations.rows.target_squares / rows
+    least = LEAST_SHARE**2 * np.maximum(efforts, LEAST_EFFORT**2 * efforts.max())
+    for columns in parameters.term_columns.values():
+        for joint, column in zip(
+            parameters.joints.tolist(), range(columns.start, columns.stop), strict=True
+        ):
+            row = first + joint
+            moved = observations.rows.column_squares(row, column) / rows[row] * value[column] ** 2
+            felt[column] = value[column] != 0 and (not efforts[row] or moved > least[row])
+    return felt

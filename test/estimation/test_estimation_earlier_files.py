@@ -46,7 +46,8 @@ def test_information_and_prior_give_the_same_estimate(parameters, name, window):
     assert (prior.factor is not None) == (name == "prior_correlated.json")
     found = posterior(load_archive(FILES / "information.npz")[window], prior)
     then = json.loads((FILES / "posterior.json").read_text())[name]
-    assert np.abs((found.mean - then) / found.std).max() < 1e-8
+    # Since then a little is added to the variances of residuals.
+    assert np.abs((found.mean - then) / found.std).max() < 1e-7
 
 
 def test_the_covariance_factor_in_information_is_that_of_the_estimate(parameters):

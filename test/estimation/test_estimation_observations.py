@@ -92,9 +92,10 @@ def test_the_residual_covariance_is_corrected_for_the_weights_that_it_gives(infl
     log = replace(gaussian_log(5, count=200), inflation=inflation)
     residual = log.y - log.K @ log.truth
     rows, n = len(log) / inflation, log.K.shape[1]
-    expected = inflation * (rows + n) / (rows - n) * residual.T @ residual / len(log)
+    moment = residual.T @ residual / len(log) + 1e-10 * np.diag(np.mean(log.y**2, axis=0))
+    expected = inflation * (rows + n) / (rows - n) * moment
     found = log.observations().residual_covariance(log.truth)
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
 @pytest.mark.parametrize("inflation", [1.0, 4 / 3])

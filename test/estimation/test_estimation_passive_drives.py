@@ -74,12 +74,18 @@ def test_a_joint_at_rest_keeps_a_positive_slope():
     np.testing.assert_array_equal(bounds.matrix, expected)
 
 
-@pytest.mark.parametrize(("armature", "contradicts"), [(0.0, False), (0.5, False), (-3.0, True)])
-def test_efforts_contradict_positive_signs_if_the_armature_is_negative(armature, contradicts):
+@pytest.mark.parametrize(
+    ("armature", "noise", "contradicts"),
+    [(0.0, 0.05, False), (0.5, 0.05, False), (-3.0, 0.05, True), (-1e-4, 1e-7, False)],
+    ids=["zero", "positive", "negative", "far below the efforts"],
+)
+def test_efforts_contradict_positive_signs_if_the_armature_is_negative(
+    armature, noise, contradicts
+):
     log = gaussian_log(5, links=3, count=200, floating=False, terms=TERMS[:3])
     parameters, truth = log.parameters, log.truth.copy()
     truth[parameters.term_columns["armature"]] = armature
-    noise = 0.05 * np.random.default_rng(1).normal(size=log.y.shape)
+    noise = noise * np.random.default_rng(1).normal(size=log.y.shape)
     observations = replace(log, y=log.K @ truth + noise).observations()
     prior = model_prior(parameters)
     found = posterior(observations, prior.widened(np.full(len(truth), 10.0)))

@@ -33,6 +33,12 @@ def residual_moment(log, K, y, phi):
     return np.where(together, moment / np.maximum(counts, 1), 0.0), int(always.sum())
 
 
+def least_variance(log):
+    """Return what is always added to the variances of residuals (n,)."""
+    square = np.sum((log.y * log.valid) ** 2, axis=0) / np.maximum(log.valid.sum(axis=0), 1)
+    return 1e-10 * square + 1e-14 * square.max()
+
+
 def dense_posterior(log, prior, known=None):
     """Return mean, covariance and Σ from all rows stacked, in the prior's deviations."""
     p, n = len(log.truth), log.K.shape[1]
@@ -44,6 +50,7 @@ def dense_posterior(log, prior, known=None):
     about, x = prior.mean / prior.std, prior.mean / prior.std
     for _ in range(200):
         S, coupled = residual_moment(log, K, y, x)
+        S += np.diag(least_variance(log))
         independent = len(log) / log.inflation
         S = log.inflation * S * (independent + coupled) / (independent - coupled)
         noise = log.inflation * residual_moment(log, dK, dy, x)[0]
