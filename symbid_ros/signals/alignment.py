@@ -316,12 +316,15 @@ def _segment(
     readings = np.stack(imus, axis=1) if imus else np.zeros((count, 0, 6))
     effort = efforts.masked(grid, position_and_effort[:, joints:])
     contacts: dict[str, FloatArray] = {}
+    rates = [min(1e9 / period, 1e9 / float(np.median(np.diff(one.stamp)))) for one in channels[1:]]
+    sensor_rates = rates[: len(imus)]
     unmeasured = () if model.contacts is None else model.contacts.frames
-    for sensor, reading in zip(streams.wrenches, wrenches, strict=True):
+    for sensor, reading, rate in zip(streams.wrenches, wrenches, rates[len(imus) :], strict=True):
         if sensor.frame_id in unmeasured:
             continue
         if (place := model.wrist_sensors.get(sensor.frame_id)) is None:
             contacts[sensor.topic] = reading
+            sensor_rates.append(rate)
         else:
             # A joint's effort acts on what lies beyond it, a reading on what lies before.
             effort[:, place] = -reading
@@ -338,6 +341,7 @@ def _segment(
         touching=_touching(streams, grid, model),
         poses=np.stack([one.at(grid) for one in streams.poses], axis=1) if streams.poses else None,
         pose_frames=tuple(one.frame_id for one in streams.poses),
+        sensor_rates=tuple(sensor_rates),
     )
 
 

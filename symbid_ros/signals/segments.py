@@ -44,6 +44,8 @@ class Segment:
         measured; None if none is tracked.
     pose_frames : tuple of str
         The P tracked frames.
+    sensor_rates : tuple of float
+        Rates at which the sensors of ``frames`` were measured, Hz; empty if all were at ``rate``.
     """
 
     stamp: IntArray
@@ -58,6 +60,7 @@ class Segment:
     touching: BoolArray | None = None
     poses: FloatArray | None = None
     pose_frames: tuple[str, ...] = ()
+    sensor_rates: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.stamp)

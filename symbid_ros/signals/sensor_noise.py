@@ -21,6 +21,7 @@ Channel = Literal["position", "angular_velocity", "effort", "wrenches", "linear_
 MOTION: tuple[Channel, ...] = ("position", "angular_velocity")
 # Channels whose noise also enters the columns of sensor gains.
 FORCES: tuple[Channel, ...] = ("effort", "wrenches")
+IMU_CHANNELS: tuple[Channel, ...] = ("angular_velocity", "linear_acceleration")
 # Beside offsets that drift, gravity does not tell masses: accelerations do, and their noise counts.
 ACCELERATION: tuple[Channel, ...] = ("linear_acceleration",)
 
@@ -28,6 +29,9 @@ ACCELERATION: tuple[Channel, ...] = ("linear_acceleration",)
 # hold only noise. Vibration rarely fills all of them.
 BANDS = 8
 LOWEST = 0.1
+# Highest frequency for sensors slower than this share of the clock's rate, as a share of their own
+# rate: interpolation leaves nothing above half of it, and less just below.
+SLOWER, HIGHEST = 0.9, 0.4
 # Magnitude of the expected minimum of eight standard normal variables, for the quietest band.
 LEAST_OF_BANDS = 1.4236
 # At least this share of the powers is free of harmonics. Powers above this multiple of the mean are
@@ -35,14 +39,30 @@ LEAST_OF_BANDS = 1.4236
 QUIET, EXCISION, EXCISIONS = 0.2, 3.0, 6
 
 
-def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
+def noise_deviation(
+    channel: FloatArray, rate: float, measured_at: float | None = None
+) -> FloatArray:
     """Return the standard deviation (c,) of the white noise in signals (N, c).
 
     The spectrum of white noise is flat, so its level in one quiet band holds for all bands. A
     periodic gait has harmonics in each of them, and its noise is the level between these.
+
+    Parameters
+    ----------
+    channel : (N, c) float64
+    rate : float
+        Of the signals, Hz.
+    measured_at : float, optional
+        Lower rate from which they were interpolated, Hz. The deviation is then that of white noise
+        at ``rate`` with the same power at low frequencies.
     """
     frequency, power = power_spectrum(channel, rate)
-    edges = np.searchsorted(frequency, np.linspace(LOWEST * rate, rate / 2, BANDS + 1))
+    lowest, highest = LOWEST * rate, rate / 2
+    if measured_at is not None and measured_at < SLOWER * rate:
+        lowest, highest = LOWEST * measured_at, HIGHEST * measured_at
+        heard = int(np.searchsorted(frequency, highest))
+        frequency, power = frequency[:heard], power[:heard]
+    edges = np.searchsorted(frequency, np.linspace(lowest, highest, BANDS + 1))
     bands = np.array([power[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a])
     if len(bands) < BANDS:
         return np.zeros(channel.shape[1])
@@ -79,6 +99,21 @@ def add_noise(segment: Segment, channels: Sequence[Channel]) -> Segment:
     for name in channels:
         signal = getattr(segment, name)
         flat = signal.reshape(len(signal), -1)
-        noise = rng.standard_normal(flat.shape) * noise_deviation(flat, segment.rate)
+        deviation = np.zeros(flat.shape[1])
+        rates = _rates(segment, name, flat.shape[1])
+        for rate in np.unique(rates):
+            some = rates == rate
+            deviation[some] = noise_deviation(flat[:, some], segment.rate, float(rate))
+        noise = rng.standard_normal(flat.shape) * deviation
         noisy[name] = signal + noise.reshape(signal.shape)
     return replace(segment, **noisy)
+
+
+def _rates(segment: Segment, channel: Channel, columns: int) -> FloatArray:
+    """Return the rate (c,), Hz, at which each column of a flat channel was measured."""
+    imus = len(segment.imu_frames)
+    places = {"wrenches": slice(imus, None), **dict.fromkeys(IMU_CHANNELS, slice(imus))}
+    if channel not in places or not segment.sensor_rates:
+        return np.full(columns, segment.rate)
+    own = segment.sensor_rates[places[channel]]
+    return np.repeat(own, columns // max(len(own), 1))

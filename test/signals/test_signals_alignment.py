@@ -84,6 +84,7 @@ def test_a_topic_at_a_tenth_of_the_rate_cuts_nothing(model, phase) -> None:
     (segment,) = align(streams(model, fast, fast, slow), model)
     inside = (fast >= slow[0]) & (fast <= slow[-1])
     np.testing.assert_array_equal(segment.stamp, fast[inside])
+    assert segment.sensor_rates == pytest.approx((1000.0, 100.0))
     # A spline is less accurate at its ends.
     assert_sampled([segment], 1e-2)
     assert_sampled([segment.cut(50, len(segment) - 50)], 1e-4)

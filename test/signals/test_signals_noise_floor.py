@@ -1,5 +1,7 @@
 """The level of white noise in the presence of motion and vibration."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from analytic_log import analytic_segment, noisy
@@ -7,6 +9,7 @@ from random_robots import random_robot
 
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_noise import FORCES, MOTION, add_noise, noise_deviation
+from symbid_ros.signals.splines import interpolating_spline
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE
@@ -62,6 +65,17 @@ def test_an_exact_channel_has_no_noise(size):
     assert np.all(noise_deviation(channel, RATE) < 1e-8)
 
 
+@pytest.mark.parametrize("slower", [2, 3, 10])
+def test_noise_of_slower_sensors_is_that_at_low_frequencies(slower):
+    """Interpolated noise has no power above half of the sensor's rate, and more below."""
+    rng = np.random.default_rng(7)
+    coarse = rng.standard_normal((len(TIME) // slower + 2, 200))
+    dense = interpolating_spline(slower / RATE * np.arange(len(coarse)), coarse)(TIME)
+    found = noise_deviation(slow_motion(rng, 0.01, 200) + dense, RATE, RATE / slower)
+    assert np.sqrt(np.mean(found**2) / slower) == pytest.approx(1.0, abs=0.07)
+    assert noise_deviation(dense, RATE).max() < 0.1
+
+
 def test_a_short_record_gives_zero_noise():
     noise = np.random.default_rng(6).standard_normal((12, 3))
     np.testing.assert_array_equal(noise_deviation(noise, RATE), 0)
@@ -86,3 +100,19 @@ def test_noise_is_added_to_named_channels_and_is_reproducible():
         assert np.all(np.abs(correlation) < 5 / np.sqrt(len(segment)))
     added = add_noise(segment, FORCES).wrenches - segment.wrenches
     np.testing.assert_allclose(added.std(axis=0)[:, 3:], 2.0, rtol=0.1)
+
+
+def test_noise_is_added_to_slower_sensors_as_they_have_it():
+    parameters, rng = ParameterSet(random_robot(1, links=4)), np.random.default_rng(8)
+    exact = analytic_segment(parameters, 12.0, 1)
+    time, slower = np.arange(len(exact)), 3
+    coarse = 2.0 * rng.standard_normal((len(exact) // slower + 2, 6))
+    heard = interpolating_spline(slower * np.arange(len(coarse)), coarse)(time)
+    wrenches = exact.wrenches.copy()
+    wrenches[:, -1] += heard
+    rates = [exact.rate] * len(exact.frames)
+    rates[-1] /= slower
+    segment = replace(exact, wrenches=wrenches, sensor_rates=tuple(rates))
+    added = add_noise(segment, FORCES).wrenches - wrenches
+    np.testing.assert_allclose(added[:, -1].std(axis=0), 2.0 * np.sqrt(slower), rtol=0.15)
+    assert np.abs(added[:, :-1]).max() < 1e-6
