@@ -17,9 +17,9 @@ from symbid_ros.signals.weak_form import INFLATION, WindowedRows
 
 # Independent samples per coordinate below which covariances between coordinates are not estimated.
 SAMPLES_PER_COORDINATE = 3
-# Smallest mean square residual as a share of that of the coordinate, and of the largest of all
-# coordinates: simulators and interpolation are no more exact, and weights from smaller residuals
-# would bend the estimate to explain these errors.
+# Variance added to each residual, as a share of the coordinate's mean square force and of the
+# largest one. Simulation and interpolation have errors of this size. Without it, a log without
+# noise would give them large weights, which bias the estimate.
 LEAST_OWN, LEAST_OF_ALL = 1e-10, 1e-14
 # Multiples of the diagonal that make a moment positive definite despite rounding, tried in turn.
 REGULARIZATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8)

@@ -110,16 +110,16 @@ def _typical_speed(parameters: ParameterSet, observations: Observations) -> Floa
     columns = parameters.term_columns.get("viscous")
     if columns is None:
         return np.zeros(len(parameters.joints))
-    first = 6 * parameters.model.floating
-    rows = np.maximum(observations.counts.diagonal(), 1.0)
-    return np.array(
-        [
-            np.sqrt(observations.rows.column_squares(first + joint, column) / rows[first + joint])
-            for joint, column in zip(
-                parameters.joints.tolist(), range(columns.start, columns.stop), strict=True
-            )
-        ]
-    )
+    return _column_rms(columns, parameters, observations)
+
+
+def _column_rms(columns: slice, parameters: ParameterSet, observations: Observations) -> FloatArray:
+    """Return the root mean square (J,) of a term's column in the rows of each joint."""
+    rows_of = (6 * parameters.model.floating + parameters.joints).tolist()
+    places = zip(rows_of, range(columns.start, columns.stop), strict=True)
+    squares = [observations.rows.column_squares(row, column) for row, column in places]
+    count = np.maximum(observations.counts.diagonal()[rows_of], 1.0)
+    return np.asarray(np.sqrt(squares / count))
 
 
 def contradicts_signs(
@@ -162,15 +162,11 @@ def _is_felt(value: FloatArray, parameters: ParameterSet, observations: Observat
     Joints without rows of their own feel every term.
     """
     felt = np.zeros(len(parameters), bool)
-    first = 6 * parameters.model.floating
-    rows = np.maximum(observations.counts.diagonal(), 1.0)
-    efforts = observations.rows.target_squares / rows
-    least = LEAST_SHARE**2 * np.maximum(efforts, LEAST_EFFORT**2 * efforts.max())
+    efforts = observations.rows.target_squares / np.maximum(observations.counts.diagonal(), 1.0)
+    rms = np.sqrt(efforts[6 * parameters.model.floating + parameters.joints])
+    least = LEAST_SHARE * np.maximum(rms, LEAST_EFFORT * np.sqrt(efforts.max()))
     for columns in parameters.term_columns.values():
-        for joint, column in zip(
-            parameters.joints.tolist(), range(columns.start, columns.stop), strict=True
-        ):
-            row = first + joint
-            moved = observations.rows.column_squares(row, column) / rows[row] * value[column] ** 2
-            felt[column] = value[column] != 0 and (not efforts[row] or moved > least[row])
+        size = np.abs(value[columns])
+        moved = size * _column_rms(columns, parameters, observations)
+        felt[columns] = (size > 0) & ((rms == 0) | (moved > least))
     return felt

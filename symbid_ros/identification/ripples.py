@@ -3,8 +3,8 @@
 For each revolute joint and each number of periods, the residuals tell how much their squares would
 fall with the two columns of such a torque, all other parameters adjusted (a score test). The best
 number of each joint is a candidate, and those that improve the prediction of rows that are left out
-are added. A joint that meets its angles only once or twice is left out: there, any slow change is
-a function of the angle too.
+are added. A joint that passes over its angles only once or twice is skipped, because any slow
+change then resembles a function of the angle.
 """
 
 import logging

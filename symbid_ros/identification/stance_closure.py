@@ -5,8 +5,8 @@ pose of each in the world if that of the base is measured, as by motion capture.
 and the model say of it varies if lengths, axes or offsets are wrong. These rows contain no force,
 so that they tell the geometry apart from inertias. The constant pose itself is unknown.
 
-Soles and floors yield a little under a load, which moves from foot to foot with the posture, as
-wrong lengths would let it seem. By how much is unknown too.
+Soles and floors yield a little under the load, which shifts from foot to foot with the posture and
+so resembles wrong lengths. Their compliance is estimated and eliminated.
 
 A measured pose also tells the common scale of all lengths. How the tracked frame is fixed to its
 link, and how late the poses are, are unknown too. These unknowns are eliminated.

@@ -8,6 +8,7 @@ import logging
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -49,6 +50,11 @@ class _Matrix:
     topic: str
     stamp: IntArray
     values: FloatArray
+
+    @cached_property
+    def period(self) -> float:
+        """Median time from one sample to the next, ns."""
+        return float(np.median(np.diff(self.stamp)))
 
 
 def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
@@ -252,7 +258,7 @@ def _period(joints: _Matrix, streams: Streams) -> float:
             f"{SHORTEST_SEGMENT} are needed; {action}",
             "E303",
         )
-    return float(np.median(np.diff(joints.stamp)))
+    return joints.period
 
 
 def _grids(
@@ -273,7 +279,7 @@ def _grids(
     ]
     for channel in channels:
         steps = np.diff(channel.stamp)
-        longest = LONGEST_GAP * max(period, float(np.median(steps)))
+        longest = LONGEST_GAP * max(period, channel.period)
         late = np.flatnonzero(steps > longest)
         cuts += zip(channel.stamp[late].tolist(), channel.stamp[late + 1].tolist(), strict=True)
     edges = [start, *(edge for cut in _merged(cuts) for edge in cut), stop]
@@ -316,7 +322,7 @@ def _segment(
     readings = np.stack(imus, axis=1) if imus else np.zeros((count, 0, 6))
     effort = efforts.masked(grid, position_and_effort[:, joints:])
     contacts: dict[str, FloatArray] = {}
-    rates = [min(1e9 / period, 1e9 / float(np.median(np.diff(one.stamp)))) for one in channels[1:]]
+    rates = [1e9 / max(period, one.period) for one in channels[1:]]
     sensor_rates = rates[: len(imus)]
     unmeasured = () if model.contacts is None else model.contacts.frames
     for sensor, reading, rate in zip(streams.wrenches, wrenches, rates[len(imus) :], strict=True):

@@ -21,9 +21,9 @@ Channel = Literal["position", "angular_velocity", "effort", "wrenches", "linear_
 MOTION: tuple[Channel, ...] = ("position", "angular_velocity")
 # Channels whose noise also enters the columns of sensor gains.
 FORCES: tuple[Channel, ...] = ("effort", "wrenches")
-IMU_CHANNELS: tuple[Channel, ...] = ("angular_velocity", "linear_acceleration")
 # Beside offsets that drift, gravity does not tell masses: accelerations do, and their noise counts.
 ACCELERATION: tuple[Channel, ...] = ("linear_acceleration",)
+IMU_CHANNELS: tuple[Channel, ...] = ("angular_velocity", "linear_acceleration")
 
 # The quietest of these equal bands, from this share of the rate up to half of it, is assumed to
 # hold only noise. Vibration rarely fills all of them.
