@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice, product
-from typing import TypeVar
 
 import numpy as np
 
@@ -20,11 +19,13 @@ from symbid_ros.choices import Term
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.model_statistics import is_taken
 from symbid_ros.estimation.prior_std import body_std
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_errors import AXIS, DEVIATIONS
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     EquationRows,
@@ -32,8 +33,6 @@ from symbid_ros.signals.weak_form import (
     cut_into_blocks,
     suitable_windows,
 )
-
-Options = TypeVar("Options", bound=RobotOptions)
 
 # Rows are made of all of the first blocks of a log, and of ever fewer of the others.
 DENSE, MOST_BLOCKS = 8, 150
@@ -52,6 +51,8 @@ UNEXPLAINED = 0.1
 EVIDENCE, LEAST_GAIN = 50.0, 0.35
 # Largest wrong zero of an encoder, rad, and how far a direction turns otherwise.
 LARGEST_ZERO, ALONG = 0.26, 0.3
+# Largest tilt that is left to the axis of the first joint if that is unknown, rad.
+TILTED_AXIS = 5 * DEVIATIONS[AXIS][0]
 # Efforts of which more is left are wrong in other ways.
 MOST_LEFT = 0.2
 # Friction may give the robot this share of the power that the efforts have, by chance.
@@ -82,6 +83,12 @@ class FoundGravity:
     direction: tuple[float, float, float]
     before: float
     after: float
+
+    def angle(self, robot: RobotModel) -> float:
+        """Return the angle between this direction and the model's, rad."""
+        down = robot.gravity / np.linalg.norm(robot.gravity)
+        cross = np.linalg.norm(np.cross(down, self.direction))
+        return float(np.arctan2(cross, down @ self.direction))
 
     @property
     def value(self) -> str:
@@ -348,16 +355,19 @@ class _Directions:
 
 
 def with_found_gravity(
-    options: Options, robot: RobotModel, segments: Iterable[Segment], source: str
-) -> Options:
+    options: IdentifyOptions, robot: RobotModel, segments: Iterable[Segment], source: str
+) -> IdentifyOptions:
     """Return options with the direction of gravity that a log shows, and log a warning.
 
-    They are returned as they are if the log does not contradict the model.
+    They are returned as they are if the log does not contradict the model, or if an unknown axis of
+    the first joint explains the direction. Both tilt all that the base carries.
     """
     if not searches_gravity(options, robot):
         return options
     found = find_gravity(segments, robot)
     if found is None:
+        return options
+    if AXIS in options.sensor_error_kinds and found.angle(robot) < TILTED_AXIS:
         return options
     logger.warning(
         "%s: %s; this direction is used, `gravity` gives another",

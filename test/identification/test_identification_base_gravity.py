@@ -10,6 +10,7 @@ from arm_log import arm_streams
 from documented_robots import ur5_urdf
 from foreign_bags import joint_state, joints_only
 from random_robots import random_robot
+from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Kind
@@ -122,6 +123,22 @@ def test_a_direction_that_is_given_is_used(ur5, result) -> None:
     np.testing.assert_allclose(given.estimate.gravity, WALL)
     std = np.maximum(result.estimate.std, given.estimate.std)
     assert np.all(np.abs(given.estimate.value - result.estimate.value) < 3 * std + 1e-9)
+
+
+@pytest.mark.parametrize(("degrees", "is_mounting"), [(0.25, False), (8.0, True)])
+def test_a_small_tilt_is_an_unknown_axis_of_the_first_joint(ur5, degrees, is_mounting) -> None:
+    """Both tilt all that the base carries, and mountings are rarely known to a tenth of a degree."""
+    tilted = Rotation.from_euler("x", degrees, degrees=True).apply(DOWN)
+    log = Log.from_streams(streams_under(tilted, friction=0.0))
+    found = sy.identify(ur5, log, sensor_errors=("joint_axis",), no_holdout=True)
+    assert angle(found.estimate.gravity, tilted if is_mounting else DOWN) < 0.2
+    if not is_mounting:
+        (error,) = [
+            one.value
+            for one in found.estimate.verdict.sensors
+            if one.name == "shoulder_pan_joint/joint_axis_x"
+        ]
+        assert error == pytest.approx(-np.radians(degrees), rel=0.05)
 
 
 def test_a_saved_result_predicts_the_arm_on_its_wall(result, tmp_path) -> None:
