@@ -28,7 +28,7 @@ from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPo
 from symbid_ros.signals.segments import Segment, stamp_spans
 from symbid_ros.signals.sensor_drift import SensorDrift
 from symbid_ros.signals.sensor_errors import COMPLIANCE, DRIVE_GAIN, PLACE, SensorErrors
-from symbid_ros.signals.sensor_noise import ACCELERATION, FORCES, MOTION
+from symbid_ros.signals.sensor_noise import FORCES, MOTION
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suitable_windows
 
 # The first pass is linearised about the prior; then Gauss-Newton.
@@ -439,7 +439,7 @@ def _final_rows(
         build,
         layout,
         windows,
-        NOISY_CHANNELS if build.drift is None else NOISY_CHANNELS + ACCELERATION,
+        NOISY_CHANNELS,
         candidates=build.parameters.candidates,
     )
 

@@ -16,13 +16,11 @@ from symbid_ros.signals.decimation import power_spectrum
 from symbid_ros.signals.segments import Segment
 
 Channel = Literal["position", "angular_velocity", "effort", "wrenches", "linear_acceleration"]
-# Channels that are differentiated, whose noise enters the regressor. The accelerometer is excluded:
-# its averaged noise is small compared with gravity, and vibration of the base fills all its bands.
-MOTION: tuple[Channel, ...] = ("position", "angular_velocity")
+# Channels whose noise enters the regressor. That of an accelerometer is small compared with gravity,
+# but not with the accelerations that tell masses where forces of contacts are unknown.
+MOTION: tuple[Channel, ...] = ("position", "angular_velocity", "linear_acceleration")
 # Channels whose noise also enters the columns of sensor gains.
 FORCES: tuple[Channel, ...] = ("effort", "wrenches")
-# Beside offsets that drift, gravity does not tell masses: accelerations do, and their noise counts.
-ACCELERATION: tuple[Channel, ...] = ("linear_acceleration",)
 IMU_CHANNELS: tuple[Channel, ...] = ("angular_velocity", "linear_acceleration")
 
 # The quietest of these equal bands, from this share of the rate up to half of it, is assumed to

@@ -89,6 +89,22 @@ def test_an_arm_is_identified_with_default_options() -> None:
     assert trial.default < 1.5 * trial.by_hand
 
 
+def test_noise_of_an_accelerometer_is_no_error_of_the_model_file() -> None:
+    """Where no sensor feels the feet, accelerations tell the masses, and their noise counts."""
+    setup = foreign_robots.Setup(has_foot_sensors=False)
+    found = foreign_robots.trial("a1", "absent", 6200, setup)
+    assert found.default < 0.6 * found.prior
+    assert found.expected < 1.2 * found.bound
+    assert found.alarms == ()
+
+
+def test_placements_are_found_where_the_first_axis_looks_like_another_gravity() -> None:
+    setup = foreign_robots.Setup(seconds=30.0, geometry=foreign_robots.KINEMATIC_ERRORS)
+    found = foreign_robots.trial("ur5", "absent", 5202, setup)
+    assert found.prior > 50 * found.default
+    assert found.geometry < 2.0
+
+
 def test_the_bound_of_a_gripper_whose_fingers_rub() -> None:
     """The second finger follows the first: it has no friction that a log could tell."""
     robot, _ = foreign_robots.load_robot("panda")

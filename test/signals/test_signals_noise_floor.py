@@ -87,11 +87,11 @@ def test_noise_is_added_to_named_channels_and_is_reproducible():
     levels = {"position": 1e-4, "rate": 0.02, "acceleration": 0.1, "effort": 0.5, "wrench": 2.0}
     segment = noisy(exact, np.random.default_rng(5), **levels)
     more, again = add_noise(segment, MOTION), add_noise(segment, MOTION)
-    for field in ("position", "angular_velocity"):
+    for field in MOTION:
         np.testing.assert_array_equal(getattr(more, field), getattr(again, field))
-    for field in ("effort", "linear_acceleration", "wrenches"):
+    for field in FORCES:
         np.testing.assert_array_equal(getattr(more, field), getattr(segment, field))
-    for field, level in (("position", 1e-4), ("angular_velocity", 0.02)):
+    for field, level in zip(MOTION, (1e-4, 0.02, 0.1), strict=True):
         added = getattr(more, field) - getattr(segment, field)
         np.testing.assert_allclose(added.std(axis=0), level, rtol=0.1)
         # As independent of the noise that is there as noise of another day.
