@@ -164,18 +164,29 @@ def derivatives(
 ) -> tuple[FloatArray, ...]:
     """Return a long signal (M, ...), low-passed with zero phase by FFT, and its derivatives.
 
-    They are exact in the passband, where central differences are not.
+    A derivative is the difference over one period around each sample, as forces change from sample
+    to sample: the second difference of positions under forces that a loop or a simulator holds for
+    a period is the mean of these forces, which exact derivatives exceed at high frequencies.
     """
     reach, count = _reach(low_pass, rate), len(signal)
     padded = _odd_extension(signal.reshape(count, -1), reach, reach)
     spectrum = np.fft.rfft(padded, axis=0)
     spectrum *= _response(low_pass, rate, len(padded))[:, None]
-    slope = 2j * np.pi * np.fft.rfftfreq(len(padded), 1 / rate)[:, None]
+    frequency = np.asarray(np.fft.rfftfreq(len(padded), 1 / rate), dtype=np.float64)
+    slope = 1j * difference(frequency, rate)[:, None]
     found = []
     for power in range(order + 1):
         values = np.fft.irfft(slope**power * spectrum if power else spectrum, len(padded), axis=0)
         found.append(values[reach : reach + count].reshape(signal.shape))
     return tuple(found)
+
+
+def difference(frequency: FloatArray, rate: float) -> FloatArray:
+    """Return what differences over a period make of waves of unit amplitude, 1/s.
+
+    It is 2π times the frequencies (F,), Hz, if these are far below the rate.
+    """
+    return np.asarray(2 * rate * np.sin(np.pi * frequency / rate))
 
 
 def power_spectrum(channel: FloatArray, rate: float) -> tuple[FloatArray, FloatArray]:

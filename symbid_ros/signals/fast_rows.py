@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.decimation import derivatives, power_spectrum
+from symbid_ros.signals.decimation import derivatives, difference, power_spectrum
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sampled_rows import SLIPPING
 from symbid_ros.signals.segments import Segment
@@ -79,8 +79,8 @@ class Bands:
     def noise(self) -> tuple[float, FloatArray]:
         """Variance of an average of white noise, and factors (B, 3) of its derivatives' deviation.
 
-        The deviation of the derivative of order k is (2π f_k)ᵏ times as large, with a frequency f_k
-        near the band's centre, as noise grows within the band.
+        The deviation of the derivative of order k is about (2π f)ᵏ times as large, with a frequency
+        f near the band's centre, as noise grows within the band.
         """
         count = round(LENGTH * self.rate)
         time = (np.arange(count) - (count - 1) / 2) / self.rate
@@ -88,12 +88,13 @@ class Bands:
         window /= window.sum()
         power = float(window @ window)
         size = 64 * count
-        angular = 2 * np.pi * np.abs(np.fft.fftfreq(size, 1 / self.rate))
+        frequency = np.asarray(np.fft.fftfreq(size, 1 / self.rate), dtype=np.float64)
+        slope = difference(frequency, self.rate)
         factors = np.ones((len(self), 3))
         for index, centre in enumerate(self.frequencies):
             spectrum = np.abs(np.fft.fft(window * np.exp(2j * np.pi * centre * time), size)) ** 2
             for order in (1, 2):
-                mean = spectrum @ angular ** (2 * order) / spectrum.sum()
+                mean = spectrum @ slope ** (2 * order) / spectrum.sum()
                 factors[index, order] = np.sqrt(mean)
         return power, factors
 
@@ -322,7 +323,7 @@ def noise_below_motion(signals: FloatArray, rate: float) -> FloatArray:
 
 
 def _readings(block: Segment, low_pass: LowPass) -> SensorSamples:
-    """Return the samples of a block with derivatives that are exact in all bands."""
+    """Return the samples of a block with derivatives for all bands."""
 
     def motion(signal: FloatArray, order: int) -> tuple[FloatArray, ...]:
         return derivatives(signal, low_pass, block.rate, order)

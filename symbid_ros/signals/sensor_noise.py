@@ -16,7 +16,7 @@ from symbid_ros.signals.decimation import power_spectrum
 from symbid_ros.signals.segments import Segment
 
 Channel = Literal["position", "angular_velocity", "effort", "wrenches", "linear_acceleration"]
-# Channels whose noise enters the regressor. That of an accelerometer is small compared with gravity,
+# Channels whose noise enters the regressor. That of accelerometers is small compared with gravity,
 # but not with the accelerations that tell masses where forces of contacts are unknown.
 MOTION: tuple[Channel, ...] = ("position", "angular_velocity", "linear_acceleration")
 # Channels whose noise also enters the columns of sensor gains.

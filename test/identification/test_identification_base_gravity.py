@@ -127,7 +127,7 @@ def test_a_direction_that_is_given_is_used(ur5, result) -> None:
 
 @pytest.mark.parametrize(("degrees", "is_mounting"), [(0.25, False), (8.0, True)])
 def test_a_small_tilt_is_an_unknown_axis_of_the_first_joint(ur5, degrees, is_mounting) -> None:
-    """Both tilt all that the base carries, and mountings are rarely known to a tenth of a degree."""
+    """Both tilt all that the base carries."""
     tilted = Rotation.from_euler("x", degrees, degrees=True).apply(DOWN)
     log = Log.from_streams(streams_under(tilted, friction=0.0))
     found = sy.identify(ur5, log, sensor_errors=("joint_axis",), no_holdout=True)
