@@ -164,9 +164,9 @@ def derivatives(
 ) -> tuple[FloatArray, ...]:
     """Return a long signal (M, ...), low-passed with zero phase by FFT, and its derivatives.
 
-    A derivative is the difference over one period around each sample, as forces change from sample
-    to sample: the second difference of positions under forces that a loop or a simulator holds for
-    a period is the mean of these forces, which exact derivatives exceed at high frequencies.
+    Derivatives are differences over one period around each sample. A control loop or a simulator
+    holds its forces for a period, and the second difference of positions is the mean acceleration
+    around a sample. Derivatives that are exact for continuous motion are larger.
     """
     reach, count = _reach(low_pass, rate), len(signal)
     padded = _odd_extension(signal.reshape(count, -1), reach, reach)
@@ -182,9 +182,9 @@ def derivatives(
 
 
 def difference(frequency: FloatArray, rate: float) -> FloatArray:
-    """Return what differences over a period make of waves of unit amplitude, 1/s.
+    """Return the gain (F,) of differences over a period at frequencies (F,), Hz, in 1/s.
 
-    It is 2π times the frequencies (F,), Hz, if these are far below the rate.
+    It is 2π times the frequency far below the rate.
     """
     return np.asarray(2 * rate * np.sin(np.pi * frequency / rate))
 
