@@ -150,7 +150,7 @@ class ExtendedProblem:
             observations=(),
             prior=problem.prior.extended(errors.names, mean, std),
             sensor_units=errors.units,
-            pseudo_measurements=_padded(problem.pseudo_measurements, len(errors)),
+            pseudo_measurements=padded(problem.pseudo_measurements, len(errors)),
             needs_longest_window=True,
         )
         return cls(extended, errors, layout)
@@ -190,7 +190,7 @@ class ExtendedProblem:
             problem,
             prior=prior.extended(names, np.zeros(len(names)), np.linalg.norm(root, axis=1), root),
             sensor_units=problem.sensor_units + drift.repeated(errors.units),
-            pseudo_measurements=_padded(problem.pseudo_measurements, len(names)),
+            pseudo_measurements=padded(problem.pseudo_measurements, len(names)),
         )
         structure = self.layout.structure[:, np.tile(places, len(drift.knots) - 1)]
         return replace(
@@ -212,7 +212,7 @@ class ExtendedProblem:
         parameters, errors = self.problem.parameters, self.errors
         closed = closure_rows(stances, parameters, errors, point)
         changes = len(self.problem.prior.mean) - len(parameters) - len(errors)
-        return stacked(self.problem.pseudo_measurements, _padded(closed, changes))
+        return stacked(self.problem.pseudo_measurements, padded(closed, changes))
 
 
 def calibration_windows(rate: float) -> tuple[float, float]:
@@ -453,7 +453,7 @@ def _with_row(
     return PseudoMeasurements(np.vstack([rows.rows, row]), np.append(rows.targets, target))
 
 
-def _padded(rows: PseudoMeasurements | None, count: int) -> PseudoMeasurements | None:
+def padded(rows: PseudoMeasurements | None, count: int) -> PseudoMeasurements | None:
     """Return pseudo-measurements with zero columns for ``count`` further unknowns."""
     if rows is None or count == 0:
         return rows

@@ -26,8 +26,6 @@ logger = logging.getLogger(__name__)
 
 # Share by which the better sign must reduce the square error.
 DECIDED = 0.1
-# Share of a joint's squared effort that the links must explain to show the size of its factor.
-EXPLAINED = 0.02
 # Standard deviation of a factor, relative to its first guess.
 SPREAD = 1.0
 
@@ -116,20 +114,21 @@ def initial_factors(
             table = np.concatenate([rows.mean.K, rows.mean.y[:, :, None]], axis=2) * used[..., None]
             moments += np.einsum("tja,tjb->jab", table, table)
     found = {joint: _factor(moments[model.joint_names.index(joint)]) for joint in joints}
-    sizes = [one.size for one in found.values() if one.explained >= EXPLAINED]
-    common = float(np.exp(np.mean(np.log(sizes)))) if sizes else 1.0
+    weights = np.array([one.explained for one in found.values()])
+    sizes = np.log([one.size for one in found.values()])
+    common = weights @ sizes / weights.sum() if weights.any() else 0.0
+    # What the links do not explain errs the logarithm of a factor by about √((1 - e)/e), and the
+    # factors of one robot differ by about one, so that the best guess has the weights e and 1 - e.
+    guesses = np.exp(weights * sizes + (1 - weights) * common)
     values = np.ones(len(model.joints))
-    for joint, one in found.items():
-        values[model.joint_names.index(joint)] = one.sign * (
-            one.size if one.explained >= EXPLAINED else common
-        )
+    for (joint, one), guess in zip(found.items(), guesses, strict=True):
+        values[model.joint_names.index(joint)] = one.sign * guess
         if not one.is_certain:
             logger.warning(
                 "%s: the log does not show the sign of its effort; it is taken as positive. Move "
                 "the joint more, or leave it out of `drive_gain`",
                 joint,
             )
-    weights = np.array([one.explained for one in found.values()])
     weights = weights if weights.any() else np.ones(len(joints))
     return InitialFactors(joints, values, weights / weights.sum())
 

@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+
+import numpy as np
 
 from symbid_ros.choices import SPRING, Method
 from symbid_ros.diagnosis.stream_checks import StreamChecks
@@ -41,6 +43,7 @@ from symbid_ros.identification.drive_gains import (
     named_joints,
 )
 from symbid_ros.identification.fast_motion import with_fast_motion
+from symbid_ros.identification.gain_iteration import identify_gains
 from symbid_ros.identification.joint_terms import choose_terms
 from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks, ModelWatch, check_dataset
 from symbid_ros.identification.log_reading import (
@@ -267,19 +270,21 @@ def load_problem(
     solver = _build_solver(
         options, inputs, parameters, prior, dataset=dataset, tares=tares, checks=checks
     )
+    searched = _with_known_gains(options, parameters, prior, solver, dataset)
     for searches, find in (
         (options.finds_springs, _with_springs),
         (options.finds_couplings, _with_couplings),
         (options.finds_warming, _with_warming),
         (options.finds_ripples, _with_ripples),
     ):
-        if not searches or (more := find(parameters, solver, dataset)) is parameters:
+        if not searches or (more := find(parameters, *searched)) is parameters:
             continue
         parameters, processing = more, Processing.of(options)
         dataset = fold_dataset(dataset.segments, dataset.source, parameters, processing)
         solver = _build_solver(
             options, inputs, parameters, prior, dataset=dataset, tares=tares, checks=checks
         )
+        searched = _with_known_gains(options, parameters, prior, solver, dataset)
     if options.finds_compliance and shows_compliance(solver, dataset):
         options = replace(options, sensor_errors=(COMPLIANCE,))
         solver = _build_solver(
@@ -418,8 +423,12 @@ def _build_solver(
         of_terms = candidate_prior if parameters.candidates else named_term_prior
         prior = of_terms(prior, parameters, dataset.observations[0], scale)
         problem = replace(problem, prior=prior)
-    kinds: tuple[str, ...] = options.sensor_error_kinds
-    kinds += (DRIVE_GAIN,) * (factors is not None) + (PLACE,) * bool(parameters.unplaced)
+    kinds: tuple[str, ...] = options.sensor_error_kinds + (PLACE,) * bool(parameters.unplaced)
+    if factors is not None and not kinds and parameters.model.contacts is None:
+        solve = partial(_with_chosen_terms, is_trial=True)
+        problem = identify_gains(problem, dataset, factors, solve)
+        return Solver.of(problem, is_trial=is_trial)
+    kinds += (DRIVE_GAIN,) * (factors is not None)
     if kinds:
         # What the user recorded for the purpose counts more than times in the air.
         request = SensorErrorRequest(kinds, {**checks.tares, **tares}, checks.mountings, factors)
@@ -428,16 +437,27 @@ def _build_solver(
         earlier = with_columns(load_archive(options.information), parameters)
         both = merged_observations(problem.observations, earlier, str(options.information))
         problem = replace(problem, observations=both)
-    if not parameters.candidates:
+    gained = None if factors is None else dataset
+    return _with_chosen_terms(problem, is_trial=is_trial, gained=gained)
+
+
+def _with_chosen_terms(
+    problem: Problem, *, is_trial: bool, gained: Dataset | None = None
+) -> Solver:
+    """Solve a problem, with the terms that its data ask for if they are candidates.
+
+    ``gained`` is the log of a problem with drive gains as unknowns.
+    """
+    if not problem.parameters.candidates:
         return Solver.of(problem, is_trial=is_trial)
 
     def with_terms(window: float | None = None) -> Problem:
         """Return the problem with the terms that all rows ask for, or those of one window."""
         rows = tuple(one for one in problem.observations if window in (None, one.window))
         some = replace(problem, observations=rows)
-        choice = choose_terms(some if factors is None else with_fixed_gains(some))
-        if factors is not None:
-            some = without_terms(some, dataset, choice.free)
+        choice = choose_terms(some if gained is None else with_fixed_gains(some))
+        if gained is not None:
+            some = without_terms(some, gained, choice.free)
         return replace(choice.applied(some), choice=choice)
 
     solver = Solver.of(with_terms(), is_trial=is_trial)
@@ -448,6 +468,31 @@ def _build_solver(
     # ones. Rows that are used choose the terms as well.
     again = replace(with_terms(solver.chosen.window), stored=solver.problem.stored)
     return Solver.of(again, is_trial=is_trial)
+
+
+def _with_known_gains(
+    options: IdentifyOptions,
+    parameters: ParameterSet,
+    prior: Prior,
+    solver: Solver,
+    dataset: Dataset,
+) -> tuple[Solver, Dataset]:
+    """Return a solution and its log; of one with unknown drive gains, those with the gains found.
+
+    Terms are searched for in residuals in Nm, in which gains are no unknowns.
+    """
+    build = solver.problem.calibrated_rows
+    if build is None or not build.errors.gained or not options.searches:
+        return solver, dataset
+    factors = np.ones(len(parameters.model.joints))
+    factors[build.errors.gained_joints] = build.errors.of_kind(
+        DRIVE_GAIN, build.linearization.theta
+    )[:, 0]
+    segments = ConvertedSegments(dataset.segments, factors)
+    processing = Processing.of(options)
+    converted = fold_dataset(segments, dataset.source, parameters, processing)
+    known = replace(options, drive_gain=())
+    return _build_solver(known, (), parameters, prior, dataset=converted, tares={}), converted
 
 
 def _initial_factors(

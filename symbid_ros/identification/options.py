@@ -377,32 +377,37 @@ class IdentifyOptions(RobotOptions):
     @property
     def finds_couplings(self) -> bool:
         """Whether couplings of joints are searched for in the log."""
-        return not self.couplings and self._searches
+        return not self.couplings and self.searches
 
     @property
     def finds_ripples(self) -> bool:
         """Whether torques that repeat in a turn are searched for in the log."""
-        return not self.ripples and self._searches
+        return not self.ripples and self.searches
 
     @property
     def finds_springs(self) -> bool:
         """Whether springs beside the drives are searched for in the log."""
-        return self.chooses_terms and self._searches
+        return self.chooses_terms and self.searches
 
     @property
     def finds_warming(self) -> bool:
         """Whether friction that changes is searched for in the log."""
-        return self.chooses_terms and self._searches
+        return self.chooses_terms and self.searches
 
     @property
     def finds_compliance(self) -> bool:
         """Whether elasticity of joints is searched for in the log."""
-        return not self.named_sensor_errors and self._searches
+        return not self.named_sensor_errors and not self.drive_gain and self.searches
 
     @property
-    def _searches(self) -> bool:
+    def searches(self) -> bool:
         """Whether terms other than candidates are searched for in the log."""
-        added = self.has_further_unknowns, self.information, self.contacts
+        added = (
+            self.sensor_error_kinds,
+            self.has_unplaced_payload,
+            self.information,
+            self.contacts,
+        )
         return self.chooses_terms and not any(added)
 
     @cached_property
