@@ -167,7 +167,13 @@ def predicted_force(result: sy.Result, samples: Sampled) -> FloatArray:
             wrench_frames=(),
         ),
     )
-    return samples.filtered(rows.K @ result.estimate.value - rows.y)
+    found = rows.K @ result.estimate.value - rows.y
+    first = found.shape[1] - joints
+    for sensor in result.estimate.verdict.sensors if result.estimate.verdict else ():
+        joint, _, kind = sensor.name.rpartition("/")
+        if kind == "drive_gain":  # the readings have another unit
+            found[:, first + robot.joint_names.index(joint)] /= sensor.value
+    return samples.filtered(found)
 
 
 def scaled(log: RealLog, factor: float) -> RealLog:

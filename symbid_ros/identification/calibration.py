@@ -151,7 +151,6 @@ class ExtendedProblem:
             prior=problem.prior.extended(errors.names, mean, std),
             sensor_units=errors.units,
             pseudo_measurements=padded(problem.pseudo_measurements, len(errors)),
-            needs_longest_window=True,
         )
         return cls(extended, errors, layout)
 
@@ -216,10 +215,7 @@ class ExtendedProblem:
 
 
 def calibration_windows(rate: float) -> tuple[float, float]:
-    """Return the window lengths, s, at a rate, Hz: the shortest, and the longest, which is solved.
-
-    Only long windows separate sensor errors from slow motion.
-    """
+    """Return the shortest and the longest window length, s, at a rate, Hz."""
     suited = suitable_windows(ALL_WINDOWS, rate)
     return suited[0], suited[-1]
 
@@ -242,7 +238,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     parameters, errors = problem.parameters, extended.errors
     point = extended.prior_point
     p = len(parameters)
-    shortest, longest = calibration_windows(segment.rate)
+    longest = calibration_windows(segment.rate)[-1]
     scale: FloatArray | None = None
     remarks: tuple[str, ...] = ()
     stances = RestingSoles()
@@ -296,7 +292,9 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     build = extended.rows(point)
     return replace(
         extended.problem,
-        observations=_final_rows(build, dataset, extended.layout, (shortest, longest)),
+        observations=_final_rows(
+            build, dataset, extended.layout, tuple(one.window for one in dataset.observations)
+        ),
         pseudo_measurements=extended.with_closure(stances, point),
         calibrated_rows=build,
         remarks=remarks,

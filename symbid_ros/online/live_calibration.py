@@ -60,7 +60,8 @@ class LiveCalibration:
     ----------
     extended : ExtendedProblem
     windows : tuple of float
-        Window lengths of the rows, s. The last one is solved.
+        Shortest and longest window length of the rows, s. The last one is solved: few window
+        lengths save time.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class LiveCalibration:
     ) -> None:
         segment = first.segments[0]
         self.extended = ExtendedProblem.of(
-            problem,
+            replace(problem, needs_longest_window=True),
             segment.wrench_frames,
             segment.imu_frames,
             SensorErrorRequest(kinds, tares),

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from analytic_log import analytic_segment, noisy, spoilt
+from analytic_log import analytic_segment, dataset_of, noisy, spoilt
 from foreign_bags import imu, joint_state, wrench, write_rosbags
 from random_robots import CONFIG, random_robot
 
@@ -17,7 +17,6 @@ from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.identification.calibration import SensorErrorRequest, calibrate
-from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.tares import Tare, read_tare
@@ -205,7 +204,7 @@ def test_sensors_of_any_tree_are_calibrated(seed, floating):
     theta = errors.std * rng.standard_normal(len(errors))
     levels = {"position": 1e-5, "rate": 2e-3, "acceleration": 0.02, "effort": 0.05, "wrench": 0.3}
     segment = noisy(spoilt(perfect, errors, theta), rng, **levels)
-    log = Dataset(source="log", segments=(segment,), samples=None, observations=())
+    log = dataset_of(parameters, [segment])
     offset = errors.of_kind("plate_offset", theta)[0]
     tare = {errors.wrench_frames[0]: Tare(offset, np.repeat([1e-3, 1e-2], 3))}
     prior = draw_prior(parameters, "percent", 25, seed)
@@ -241,7 +240,7 @@ def test_placements_of_joints_that_the_model_file_holds_exactly_vertical():
     theta = errors.std * rng.standard_normal(len(errors))
     perfect = analytic_segment(errors.placed(stated, theta), 11.9, 5, start=0.05)
     levels = {"position": 1e-5, "rate": 0.0, "acceleration": 0.0, "effort": 0.02, "wrench": 0.0}
-    log = Dataset("log", (noisy(perfect, rng, **levels),), None, ())
+    log = dataset_of(stated, [noisy(perfect, rng, **levels)])
     prior = draw_prior(stated, "percent", 25, 5)
     problem = Problem((), stated, prior)
     found = calibrate(problem, log, SensorErrorRequest(KINEMATIC_ERRORS, {}))
@@ -256,7 +255,7 @@ def test_placements_of_joints_that_the_model_file_holds_exactly_vertical():
 def test_sensors_without_noise_are_calibrated():
     parameters = ParameterSet(random_robot(1, links=4))
     segment = analytic_segment(parameters, 3.9, 1, start=0.05)
-    log = Dataset(source="log", segments=(segment,), samples=None, observations=())
+    log = dataset_of(parameters, [segment])
     prior = draw_prior(parameters, "percent", 25, 1)
     found = calibrate(Problem((), parameters, prior), log, SensorErrorRequest(TYPICAL_ERRORS, {}))
     after = posterior(found.observations[-1], found.prior, count=len(parameters))

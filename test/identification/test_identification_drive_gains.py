@@ -96,6 +96,48 @@ def test_a_payload_of_unknown_place_fixes_the_scale(tmp_path, robot, model, curr
     assert sy.validate(tmp_path, currents).percent_after < 1.0
 
 
+def brisk(robot, seed=0, seconds=6.0, gain=1.0):
+    """Return a log of few slow windows, in which drives rub and turn rotors."""
+    truth = drives(robot, **FRICTION, armature=0.3)
+    return log_of(robot, truth, seed=seed, seconds=seconds, slowdown=1.0, gain=gain)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_short_log_of_brisk_motion_is_enough(robot, model, seed):
+    log = brisk(robot, seed, gain=FACTORS)
+    result = sy.identify(model, log, drive_gain="all", no_holdout=True)
+    relative = factors(result) / FACTORS
+    np.testing.assert_allclose(relative / relative[0], 1.0, rtol=5e-3)
+    assert sy.validate(result, brisk(robot, seed + 10, gain=FACTORS)).percent_after < 0.5
+    terms = ("viscous", "coulomb", "armature")
+    assert all(set(one) >= set(terms) for one in result.estimate.joint_terms.values())
+
+
+@pytest.mark.parametrize("kind", ["encoder_offset", "sensor_delay"])
+def test_sensor_errors_need_no_longer_log_than_links(robot, model, kind):
+    result = sy.identify(model, brisk(robot), sensor_errors=kind, no_holdout=True)
+    assert sy.validate(result, brisk(robot, seed=10)).percent_after < 0.5
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_gains_of_coupled_drives(robot, model, seed):
+    drive = np.array([0.0, 1.0, -1.0])
+
+    def coupled(velocity, acceleration):
+        speed = velocity @ drive
+        torque = 0.6 * speed + 1.5 * np.sign(speed) + 0.05 * (acceleration @ drive)
+        return torque[:, None] * drive
+
+    gains = np.array([3.0, 0.5, 15.0])
+    log = log_of(robot, drives(robot, **FRICTION), seed=seed, extra=coupled, gain=gains)
+    label = f"{robot.joint_names[1]}-{robot.joint_names[2]}"
+    result = sy.identify(model, log, drive_gain="all", coupling=label, unchecked=True)
+    relative = factors(result) / gains
+    np.testing.assert_allclose(relative / relative[0], 1.0, rtol=2e-3)
+    assert set(result.estimate.joint_terms[label]) >= {"viscous", "coulomb", "armature"}
+    assert result.estimate.holdout.percent_after < 0.5
+
+
 def test_unknown_joints_are_refused(model, currents):
     with pytest.raises(OptionError, match="drive_gain"):
         sy.identify(model, currents, drive_gain="elbow")

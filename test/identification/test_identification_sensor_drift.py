@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_log import analytic_segment, noisy, spoilt
+from analytic_log import analytic_segment, dataset_of, noisy, spoilt
 from random_robots import random_robot
 
 from symbid_ros.choices import TYPICAL_ERRORS
@@ -13,7 +13,6 @@ from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.calibration import SensorErrorRequest, calibrate
-from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
@@ -66,7 +65,7 @@ def drifting(segment, errors, possible, changes):
 
 
 def calibrated(parameters, segments):
-    log = Dataset(source="log", segments=tuple(segments), samples=None, observations=())
+    log = dataset_of(parameters, segments)
     problem = Problem((), parameters, draw_prior(parameters, "percent", 25, 1))
     return calibrate(problem, log, SensorErrorRequest(TYPICAL_ERRORS, {}))
 

@@ -8,6 +8,10 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
+from symbid_ros.estimation.information import RowLayout
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.identification.calibration import calibration_windows
+from symbid_ros.identification.dataset import Dataset
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples
 
@@ -211,3 +215,11 @@ def spoilt(segment, errors, theta):
         + bias[:, 3:],
         wrenches=wrenches,
     )
+
+
+def dataset_of(parameters, segments):
+    """Return segments as a log without the rows of a robot with exact sensors."""
+    segments = tuple(segments)
+    layout, windows = RowLayout.of(parameters), calibration_windows(segments[0].rate)
+    observations = tuple(Observations.empty(layout, window) for window in windows)
+    return Dataset("log", segments, None, observations)

@@ -34,10 +34,10 @@ def drives(robot, **terms):
     return ParameterSet(replace(robot, joints=joints))
 
 
-def slow_waves(rng, time, joints, size):
+def slow_waves(rng, time, joints, size, slowdown=SLOWDOWN):
     """Return sums of sines far below the cutoff of the filters, and their derivatives."""
-    motion = waves(rng, SLOWDOWN * time, (joints,), size)
-    return [SLOWDOWN**order * each for order, each in enumerate(motion)]
+    motion = waves(rng, slowdown * time, (joints,), size)
+    return [slowdown**order * each for order, each in enumerate(motion)]
 
 
 def samples_of(robot, time, position, velocity, acceleration):
@@ -69,6 +69,7 @@ def log_of(
     gain=1.0,
     start=0.0,
     by_angle=None,
+    slowdown=SLOWDOWN,
 ):
     """Return a noisy log of a robot whose drives are those of the parameters ``truth``.
 
@@ -79,7 +80,7 @@ def log_of(
     """
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, 1 / RATE)
-    motion = slow_waves(rng, time, len(robot.joints), 1.2)
+    motion = slow_waves(rng, time, len(robot.joints), 1.2, slowdown)
     if moving is not None:
         motion = [each * moving for each in motion]
     samples = samples_of(robot, time, *motion)
