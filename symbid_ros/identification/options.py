@@ -397,17 +397,13 @@ class IdentifyOptions(RobotOptions):
     @property
     def finds_compliance(self) -> bool:
         """Whether elasticity of joints is searched for in the log."""
-        return not self.named_sensor_errors and not self.drive_gain and self.searches
+        named = self.named_sensor_errors or self.sensor_error_kinds or self.drive_gain
+        return not named and self.searches
 
     @property
     def searches(self) -> bool:
         """Whether terms other than candidates are searched for in the log."""
-        added = (
-            self.sensor_error_kinds,
-            self.has_unplaced_payload,
-            self.information,
-            self.contacts,
-        )
+        added = self.has_unplaced_payload, self.information, self.contacts
         return self.chooses_terms and not any(added)
 
     @cached_property

@@ -1,0 +1,208 @@
+"""From the rows of a log to a solver: sensor errors, drive gains and joint terms as options say."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from symbid_ros.choices import SPRING
+from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.prior import Prior
+from symbid_ros.identification.calibration import (
+    SensorErrorRequest,
+    calibrate,
+    with_fixed_gains,
+    without_terms,
+)
+from symbid_ros.identification.couplings import find_couplings
+from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
+from symbid_ros.identification.drive_gains import (
+    ConvertedSegments,
+    InitialFactors,
+    initial_factors,
+    named_joints,
+)
+from symbid_ros.identification.gain_iteration import identify_gains
+from symbid_ros.identification.joint_terms import choose_terms
+from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.prior_options import build_pseudo_measurements
+from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.ripples import find_ripples
+from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.springs import shows_springs
+from symbid_ros.identification.stored_information import merged_observations, with_columns
+from symbid_ros.identification.tares import Tare
+from symbid_ros.identification.term_priors import candidate_prior, named_term_prior
+from symbid_ros.identification.warming import find_warming
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.sensor_errors import DRIVE_GAIN, PLACE
+
+
+@dataclass(frozen=True)
+class SolverSetup:
+    """What a log is solved with, apart from its rows and their columns.
+
+    Attributes
+    ----------
+    options : IdentifyOptions
+    prior : Prior
+    inputs : tuple of str
+        Input files, recorded in the estimate.
+    tares : mapping of str to Tare
+        By frame of the wrench sensor.
+    checks : LogChecks
+        What the checks of the log found.
+    """
+
+    options: IdentifyOptions
+    prior: Prior
+    inputs: tuple[str, ...] = ()
+    tares: Mapping[str, Tare] = field(default_factory=dict)
+    checks: LogChecks = NO_CHECKS
+
+    def solver(
+        self, parameters: ParameterSet, dataset: Dataset, *, is_trial: bool = False
+    ) -> Solver:
+        """Solve a log whose rows have the columns ``parameters``."""
+        options, prior = self.options, self.prior.for_columns(parameters)
+        factors = first_factors(options, dataset, parameters, prior)
+        problem = Problem(
+            dataset.observations,
+            parameters,
+            prior,
+            pseudo_measurements=build_pseudo_measurements(options, parameters, prior),
+            is_empirical=options.is_empirical,
+            inputs=self.inputs,
+            force_scale_std=options.force_scale,
+        )
+        if parameters.candidates or (parameters.terms and options.is_empirical):
+            scale = None if factors is None else factors.values
+            of_terms = candidate_prior if parameters.candidates else named_term_prior
+            prior = of_terms(prior, parameters, dataset.observations[0], scale)
+            problem = replace(problem, prior=prior)
+        kinds: tuple[str, ...] = options.sensor_error_kinds + (PLACE,) * bool(parameters.unplaced)
+        if factors is not None and not kinds and parameters.model.contacts is None:
+            solve = partial(_with_chosen_terms, is_trial=True)
+            problem = identify_gains(problem, dataset, factors, solve)
+            return Solver.of(problem, is_trial=is_trial)
+        kinds += (DRIVE_GAIN,) * (factors is not None)
+        if kinds:
+            # What the user recorded for the purpose counts more than times in the air.
+            tares = {**self.checks.tares, **self.tares}
+            request = SensorErrorRequest(kinds, tares, self.checks.mountings, factors)
+            problem = calibrate(problem, dataset, request)
+        if options.information is not None:
+            earlier = with_columns(load_archive(options.information), parameters)
+            both = merged_observations(problem.observations, earlier, str(options.information))
+            problem = replace(problem, observations=both)
+        gained = None if factors is None else dataset
+        return _with_chosen_terms(problem, is_trial=is_trial, gained=gained)
+
+    def with_found_terms(
+        self, parameters: ParameterSet, dataset: Dataset
+    ) -> tuple[ParameterSet, Dataset, Solver]:
+        """Solve a log with further terms that it shows; return their columns and rows as well."""
+        solver, options = self.solver(parameters, dataset), self.options
+        if parameters.model.floating and options.sensor_error_kinds:
+            # Errors of IMUs and foot sensors leave residuals that joint terms would follow.
+            return parameters, dataset, solver
+        exact = self._with_exact_sensors(parameters, solver, dataset)
+        for searches, find in (
+            (options.finds_springs, _with_springs),
+            (options.finds_couplings, _with_couplings),
+            (options.finds_warming, _with_warming),
+            (options.finds_ripples, _with_ripples),
+        ):
+            if not searches or (more := find(parameters, *exact)) is parameters:
+                continue
+            parameters, processing = more, Processing.of(options)
+            dataset = fold_dataset(dataset.segments, dataset.source, parameters, processing)
+            solver = self.solver(parameters, dataset)
+            exact = self._with_exact_sensors(parameters, solver, dataset)
+        return parameters, dataset, solver
+
+    def _with_exact_sensors(
+        self, parameters: ParameterSet, solver: Solver, dataset: Dataset
+    ) -> tuple[Solver, Dataset]:
+        """Return a solution without sensor errors, and its log with the drive gains found, if any.
+
+        Further terms are searched for in its residuals.
+        """
+        build, options = solver.problem.calibrated_rows, self.options
+        if build is None or not options.searches:
+            return solver, dataset
+        if build.errors.gained:
+            factors = np.ones(len(parameters.model.joints))
+            factors[build.errors.gained_joints] = build.errors.of_kind(
+                DRIVE_GAIN, build.linearization.theta
+            )[:, 0]
+            segments = ConvertedSegments(dataset.segments, factors)
+            dataset = fold_dataset(segments, dataset.source, parameters, Processing.of(options))
+        exact = replace(options, drive_gain=(), sensor_errors=("none",), tare=())
+        return SolverSetup(exact, self.prior).solver(parameters, dataset), dataset
+
+
+def first_factors(
+    options: IdentifyOptions, dataset: Dataset, parameters: ParameterSet, prior: Prior
+) -> InitialFactors | None:
+    """Return first guesses of the factors of efforts, if any is unknown."""
+    joints = named_joints(options.drive_gains, parameters.model)
+    if not joints:
+        return None
+    return initial_factors(dataset.segments, parameters, prior.mean, joints)
+
+
+def _with_chosen_terms(
+    problem: Problem, *, is_trial: bool, gained: Dataset | None = None
+) -> Solver:
+    """Solve a problem, with the terms that its data ask for if they are candidates.
+
+    ``gained`` is the log of a problem with drive gains as unknowns.
+    """
+    if not problem.parameters.candidates:
+        return Solver.of(problem, is_trial=is_trial)
+
+    def with_terms(window: float | None = None) -> Problem:
+        """Return the problem with the terms that all rows ask for, or those of one window."""
+        rows = tuple(one for one in problem.observations if window in (None, one.window))
+        some = replace(problem, observations=rows)
+        choice = choose_terms(some if gained is None else with_fixed_gains(some))
+        if gained is not None:
+            some = without_terms(some, gained, choice.free)
+        return replace(choice.applied(some), choice=choice)
+
+    solver = Solver.of(with_terms(), is_trial=is_trial)
+    choice = solver.problem.choice
+    if choice is None or choice.window in (None, solver.chosen.window):
+        return solver
+    # Noise may spoil the rows of short windows for all candidates together, and not for the chosen
+    # ones. Rows that are used choose the terms as well.
+    again = replace(with_terms(solver.chosen.window), stored=solver.problem.stored)
+    return Solver.of(again, is_trial=is_trial)
+
+
+def _with_couplings(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
+    """Return the parameters with the couplings that a log shows."""
+    found = find_couplings(solver, dataset)
+    return replace(parameters, couplings=found) if found else parameters
+
+
+def _with_springs(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
+    """Return the parameters with the stiffness of joints if a log shows springs."""
+    if not shows_springs(solver, dataset):
+        return parameters
+    return replace(parameters, terms=(*parameters.terms, SPRING))
+
+
+def _with_warming(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
+    """Return the parameters with the changes of friction that a log shows."""
+    found = find_warming(solver, dataset)
+    return replace(parameters, warming=found) if found else parameters
+
+
+def _with_ripples(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
+    """Return the parameters with the ripples that a log shows."""
+    found = find_ripples(solver, dataset)
+    return replace(parameters, ripples=found) if found else parameters
