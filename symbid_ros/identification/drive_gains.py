@@ -135,9 +135,10 @@ def initial_factors(
 
 def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:
     """Return a builder of rows [needed torque, q̇, sign q̇, 1] and the measured effort."""
+    # Friction has columns of its own: that of the model file may be a placeholder.
     bare = ParameterSet(
         parameters.model, link_side=parameters.link_side, payloads=parameters.payloads
-    )
+    ).with_known_values({})
     first = 6 * parameters.model.floating
 
     def build(readings: SensorSamples) -> Iterator[SampledRows]:

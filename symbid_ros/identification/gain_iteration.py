@@ -130,10 +130,11 @@ def identify_gains(
         known = tuple(columns.converted(one, gains) for one in raw)
         solver = solve(replace(problem, observations=known))
         if turn == 0:
-            unknowns = unknowns.with_scale(solver, columns, raw)
+            phi = _whole(problem, solver, solver.posterior.mean)
+            rows = columns.linearised(_rows_of(solver, raw), phi, gains)
+            unknowns = unknowns.with_scale(problem, rows, phi)
         phi, gains = _improved(solver, columns, raw, unknowns, gains)
-    whole = problem.prior.mean.copy()
-    whole[[problem.prior.names.index(name) for name in solver.problem.parameters.names]] = phi
+    whole = _whole(problem, solver, phi)
     found = replace(
         unknowns.added(problem, gains),
         observations=tuple(columns.linearised(one, whole, gains) for one in raw),
@@ -187,18 +188,28 @@ class _Gains:
             pseudo_measurements=measurements,
         )
 
-    def with_scale(
-        self, solver: Solver, columns: EffortColumns, raw: Sequence[Observations]
-    ) -> "_Gains":
-        """Return the same, with the common scale held if a log leaves it open."""
-        some = columns.restricted(solver.problem.parameters.names)
-        linear = some.linearised(_rows_of(solver, some, raw), solver.posterior.mean, self.guess)
-        problem, count = self.added(solver.problem, self.guess), len(some.parameters)
+    def with_scale(self, problem: Problem, rows: Observations, phi: FloatArray) -> "_Gains":
+        """Return the same, with the common scale held if a log leaves it open.
+
+        Parameters
+        ----------
+        problem : Problem
+            With the columns of all candidates: terms at a value of the model file, which may be a
+            placeholder, do not tell the scale.
+        rows : Observations
+            Of the log, linearised about the first guesses.
+        phi : (p,) float64
+            The parameters with these.
+        """
+        count = len(phi)
+        some = self.added(problem, self.guess)
+        # Nor does a narrow prior of links that the model file underestimates.
+        wide = np.maximum(1.0, np.abs(np.append(phi, self.guess)) / some.prior.std)
         is_open = is_undetermined(
             self._scale(count, self.guess),
-            linear,
-            problem.prior,
-            problem.pseudo_measurements,
+            rows,
+            some.prior.widened(wide),
+            some.pseudo_measurements,
             count,
         )
         return replace(self, holds_scale=is_open)
@@ -220,7 +231,7 @@ def _improved(
     # With a prior that changes, steps go to and fro between wide links and unlike gains.
     problem = replace(solver.problem, prior=solver.posterior.prior, is_empirical=False)
     columns = columns.restricted(problem.parameters.names)
-    rows = _rows_of(solver, columns, raw)
+    rows = _rows_of(solver, raw).restricted(columns.layout.parameters)
     before, share = np.zeros(len(gains)), 1.0
     for _ in range(STEPS):
         linear = columns.linearised(rows, phi, gains)
@@ -238,9 +249,16 @@ def _improved(
     return phi, gains
 
 
-def _rows_of(solver: Solver, columns: EffortColumns, raw: Sequence[Observations]) -> Observations:
-    """Return the rows that a solution used, with efforts as columns."""
+def _rows_of(solver: Solver, raw: Sequence[Observations]) -> Observations:
+    """Return the rows that a solution used, with efforts and all candidate terms as columns."""
     choice = solver.problem.choice
     used = raw if choice is None else choice.rows(raw)
     (rows,) = (one for one in used if one.window == solver.chosen.window)
-    return rows.restricted(columns.layout.parameters)
+    return rows
+
+
+def _whole(problem: Problem, solver: Solver, phi: FloatArray) -> FloatArray:
+    """Return the parameters (p,) of all candidate terms, with those of a solution (p',)."""
+    whole = problem.prior.mean.copy()
+    whole[[problem.prior.names.index(name) for name in solver.problem.parameters.names]] = phi
+    return whole
