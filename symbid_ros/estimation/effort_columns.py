@@ -55,6 +55,27 @@ class EffortColumns:
         """
         return _combined(rows, self.layout, self._combinations(factors, phi))
 
+    def beside(self, rows: Observations, phi: FloatArray) -> Observations:
+        """Return rows K φ = u with the factors, which are about one, as further unknowns.
+
+        Parameters
+        ----------
+        rows : Observations
+            Without columns of the efforts; all forces are efforts.
+        phi : (p,) float64
+            The parameters about which the rows are linearised.
+        """
+        first = len(self.parameters)
+        combinations = []
+        for columns in self.layout.columns:
+            one = np.eye(len(columns) + 1)
+            if len(columns) and columns[-1] >= first:
+                own = -phi[columns[:-1]]
+                one = np.delete(one, -2, axis=0)
+                one[:-1, -2], one[:-1, -1] = own, own
+            combinations.append(one)
+        return _combined(rows, self.layout, combinations)
+
     def _combinations(self, factors: FloatArray, phi: FloatArray | None = None) -> list[FloatArray]:
         """Return the combinations (c, c') of each coordinate's columns [K, -u, w].
 

@@ -12,6 +12,7 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.force_errors import RELEVANT
+from symbid_ros.identification.gain_check import gain_alarm
 from symbid_ros.identification.likely_cause import explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
@@ -86,6 +87,11 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
     found = problem.with_provenance(explained(problem, found))
     if checked is not None and checked.advice == "unfit":
         found = _with_alarm(found, UNPREDICTED.format(checked.summary))
+    elif checked is not None:
+        window = found.window
+        alarm = gain_alarm(problem, checked, lambda one: _hold_out(one, window, log.begin)[0])
+        if alarm is not None:
+            found = _with_alarm(found, alarm)
     if forces is None:
         forces = _predict_end(problem, found, log.begin)
     found = replace(

@@ -149,3 +149,19 @@ def test_gains_need_a_complete_log(model, caplog):
     assert "no effect live" in caplog.text
     with pytest.raises(OptionError, match="drive_gain"):
         sy.IdentifyOptions(drive_gain="all", method="ols")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_wrong_torque_constants_raise_an_alarm(robot, model, seed):
+    truth = drives(robot, **FRICTION)
+
+    def alarms(gain):
+        result = sy.identify(model, log_of(robot, truth, seed=seed, gain=gain))
+        return [one for one in result.alarms if "wrong factors" in one]
+
+    assert not alarms(1.0)
+    (alarm,) = alarms(np.array([1.0, 1 / 0.85, 1.0]))
+    (name,) = (one for one in robot.joint_names if f"{one} reads" in alarm)
+    assert name == robot.joint_names[1]
+    assert f"{name} reads 0.85 times the torque" in alarm
+    assert "drive_gain" in alarm
