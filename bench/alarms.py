@@ -40,6 +40,7 @@ from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.holdout import identify_with_holdout
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.load import load_model
@@ -290,10 +291,17 @@ def encoder(joint, degrees):
 
 
 def effort(joint, factor):
+    return efforts((joint, factor))
+
+
+def efforts(*factors):
+    """Return efforts of joints times their factors."""
+
     def fault(streams, model, rng):
         joints = streams.joints
         values = joints.effort.copy()
-        values[:, joint] *= factor
+        for joint, factor in factors:
+            values[:, joint] *= factor
         return replace(streams, joints=replace(joints, effort=values))
 
     return fault
@@ -400,6 +408,7 @@ FAULTS = {
     "effort 1 x 0.1": effort(1, 0.1),
     "effort 2 x 10": effort(2, 10),
     "effort 1 x -1": effort(1, -1),
+    "effort 1 x 1.1, 2 x 0.8": efforts((1, 1.1), (2, 0.8)),
 }
 
 
@@ -435,6 +444,9 @@ TABLE = (
     ("effort 1 always zero", "ur5", {}),
     ("effort 1 x 0.1", "ur5", {}),
     ("efforts x 0.1", "ur5", {}),
+    ("effort 1 x 1.1, 2 x 0.8", "ur5", {"no_holdout": False}),
+    ("effort 1 x 1.1, 2 x 0.8", "panda", {"no_holdout": False}),
+    ("correct", "panda", {"no_holdout": False}),
 )
 
 
@@ -448,10 +460,13 @@ def identified(
         options["total_mass"] = truth.phi[:, 0].sum() + off
     if options.pop("tare", False):
         options["tare"] = (tare(seed),)
-    options = IdentifyOptions(no_holdout=True, **options)
+    options = IdentifyOptions(**{"no_holdout": True} | options)
     try:
         problem = load_problem(model, Log.from_streams(streams), options)
-        result = problem.solve()
+        if options.no_holdout:
+            result = problem.solve()
+        else:
+            _, result = identify_with_holdout(problem)
     except SymbidError as error:
         return [f"refused: {error}"], "– | –"
     estimate = result.estimate
@@ -502,7 +517,7 @@ def print_table(seed: int) -> None:
         streams, model = ROBOTS[robot](seed)
         spoilt = FAULTS[name](streams, model, np.random.default_rng(seed))
         said, error = identified(spoilt, model, TRUTH[robot.split("/")[0]](), seed, known)
-        given = ", ".join(GIVEN[key] for key in known)
+        given = ", ".join(GIVEN[key] for key in known if key in GIVEN)
         what = f"{name}, {given}" if given else name
         text = " / ".join(map(shortened, said)) or "–"
         print(f"| {what} | {robot} | {text} | {error} |", flush=True)
