@@ -424,6 +424,26 @@ def test_published_reference_errors_are_those_of_the_data(name, capsys, monkeypa
         assert line in PAGE
 
 
+@pytest.mark.parametrize("name", ["tx40", "lwr4", "panda", "ur10e", "ur10", "fer", "med7", "tiago"])
+def test_readings_in_unknown_units_are_predicted_as_well(name, capsys, monkeypatch) -> None:
+    """Least squares know that efforts are in Nm; the error is a share of the readings."""
+    if REAL is None:
+        pytest.skip(f"SYMBID_REAL_LOGS is unset: drive gains of {name} were NOT checked")
+    try:
+        REAL_DATA[name].find(Path(REAL) / name)
+    except real_data.MissingDataError as error:
+        pytest.skip(f"drive gains of {name} were NOT checked: {error}")
+    folder = str(Path(REAL) / name)
+    monkeypatch.setattr(sys, "argv", ["", name, "--data", folder, "--option", "drive_gain=all"])
+    real_logs.main()
+    errors = {}
+    for line in capsys.readouterr().out.splitlines():
+        if line.startswith(("| least squares", "| symbid")):
+            title, *_, overall = line.strip("| ").split(" | ")
+            errors[title.partition(" ")[0]] = float(overall)
+    assert errors["symbid,"] < 1.05 * errors["least"]
+
+
 def test_the_commands_shown_identify_a_public_log(monkeypatch, tmp_path) -> None:
     if REAL is None:
         pytest.skip("SYMBID_REAL_LOGS is unset: the commands on a public log were NOT run")
