@@ -65,23 +65,19 @@ class EffortColumns:
         phi : (p,) float64
             The parameters about which the rows are linearised.
         """
-        first = len(self.parameters)
-        combinations = []
-        for columns in self.layout.columns:
-            one = np.eye(len(columns) + 1)
-            if len(columns) and columns[-1] >= first:
-                own = -phi[columns[:-1]]
-                one = np.delete(one, -2, axis=0)
-                one[:-1, -2], one[:-1, -1] = own, own
-            combinations.append(one)
+        combinations = self._combinations(np.ones(self.count), phi)
+        for index, columns in enumerate(self.layout.columns):
+            if len(columns) and columns[-1] >= len(self.parameters):  # w is zero, and y is u
+                one = combinations[index]
+                combinations[index] = np.vstack([one[:-2], -one[-2]])
         return _combined(rows, self.layout, combinations)
 
     def _combinations(self, factors: FloatArray, phi: FloatArray | None = None) -> list[FloatArray]:
         """Return the combinations (c, c') of each coordinate's columns [K, -u, w].
 
-        Without ``phi``, these of :meth:`converted`.
+        Without ``phi``, those of :meth:`converted`.
         """
-        first = len(self.layout.parameters) - self.count
+        first = len(self.parameters)
         found = []
         for columns in self.layout.columns:
             one = np.eye(len(columns) + 1)

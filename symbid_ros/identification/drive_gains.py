@@ -117,8 +117,8 @@ def initial_factors(
     weights = np.array([one.explained for one in found.values()])
     sizes = np.log([one.size for one in found.values()])
     common = weights @ sizes / weights.sum() if weights.any() else 0.0
-    # What the links do not explain errs the logarithm of a factor by about √((1 - e)/e), and the
-    # factors of one robot differ by about one, so that the best guess has the weights e and 1 - e.
+    # Torque that the links do not explain makes the logarithm of a factor uncertain by about
+    # √((1 - e)/e). Those of one robot differ by about one, so the best weights are e and 1 - e.
     guesses = np.exp(weights * sizes + (1 - weights) * common)
     values = np.ones(len(model.joints))
     for (joint, one), guess in zip(found.items(), guesses, strict=True):

@@ -83,10 +83,10 @@ def _square(solver: Solver) -> float:
     errors = SensorErrors.of((DRIVE_GAIN,), parameters.model, (), (), joints)
     rows = EffortColumns(error_layout(parameters, errors), len(joints)).beside(solver.chosen, phi)
     ones = np.ones(len(joints))
+    prior = solver.posterior.prior.extended(errors.names, ones, PLAUSIBLE * ones)
     wide = replace(
-        problem, prior=solver.posterior.prior.extended(errors.names, ones, PLAUSIBLE * ones)
+        problem, prior=prior, is_empirical=False, pseudo_measurements=None, term_deviations=None
     )
-    wide = replace(wide, is_empirical=False, pseudo_measurements=None, term_deviations=None)
     found = Solver.approximate(
         wide, rows, np.append(phi, ones), is_coupled=solver.chosen.is_coupled
     ).posterior

@@ -126,6 +126,27 @@ def test_exact_readings_leave_no_residual_at_the_linearisation_point() -> None:
     assert np.abs(residual).max() < 1e-18 * found.rows.target_squares.max() + 1e-18
 
 
+@pytest.mark.parametrize("candidates", [False, True])
+def test_efforts_that_are_all_forces_need_no_columns_before(candidates) -> None:
+    rng = np.random.default_rng(6)
+    structure = np.eye(3, dtype=bool)
+    plain, _ = layout()
+    extended = plain.extended(("k_a", "k_b", "k_c"), structure)
+    phi = rng.normal(size=4)
+    parts = [(K, rng.normal(size=(COUNT, 3))) for K in (drawn(rng)[0], drawn(rng)[0])]
+    rows = folded(plain, *parts, candidates=candidates)
+    found = EffortColumns(extended, 3).beside(rows, phi)
+    linear = []
+    for K, u in parts:
+        predicted = K @ phi
+        columns = -predicted[..., None] * structure
+        linear.append((np.concatenate([K, columns], axis=2), u - predicted))
+    wanted = folded(extended, *linear, candidates=candidates)
+    same(found, wanted, scale=1e4)
+    if candidates:
+        same(found.slipping, wanted.slipping, scale=1e4)
+
+
 def test_restricted_columns_keep_all_factors() -> None:
     rng = np.random.default_rng(4)
     plain, extended = layout()

@@ -149,6 +149,8 @@ def test_gains_need_a_complete_log(model, caplog):
     assert "no effect live" in caplog.text
     with pytest.raises(OptionError, match="drive_gain"):
         sy.IdentifyOptions(drive_gain="all", method="ols")
+    with pytest.raises(OptionError, match="information"):
+        sy.IdentifyOptions(drive_gain="all", information="earlier/information.npz")
 
 
 @pytest.mark.parametrize("seed", [0, 1])
