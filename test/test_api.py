@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from random_robots import random_robot
+from threadpoolctl import threadpool_info, threadpool_limits
 from tree_simulation import TreeSimulation
 
 import symbid_ros as sy
@@ -101,6 +102,16 @@ def test_python_and_the_command_give_equal_results(folder, result) -> None:
     expected = BagRequest((folder / "log",), folder / "robot.xml", options).load().solve().estimate
     np.testing.assert_array_equal(result.estimate.value, expected.value)
     assert result.estimate.inputs == expected.inputs
+
+
+def test_results_do_not_depend_on_threads_of_the_caller(robot, log, result) -> None:
+    def threads() -> set[int]:
+        return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+    with threadpool_limits(2, user_api="blas"):
+        again = sy.identify(robot, log, prior_percent=25)
+        assert threads() == {2}
+    assert again.estimate.value.tobytes() == result.estimate.value.tobytes()
 
 
 def test_arrays_and_their_bag_give_equal_results(robot, log, result) -> None:

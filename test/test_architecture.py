@@ -51,6 +51,7 @@ BAG_PARTS: dict[str, set[str]] = {
 }
 FREE = {
     "arrays",
+    "blas_threads",
     "choices",
     "options",
     "atomic_write",
@@ -77,7 +78,16 @@ ROS_LIBRARIES = {
     "std_msgs",
     "std_srvs",
 }
-CORE_LIBRARIES = {"numpy", "scipy", "clarabel", "yaml", "pandas", "numba", "llvmlite"}
+CORE_LIBRARIES = {
+    "numpy",
+    "scipy",
+    "clarabel",
+    "yaml",
+    "pandas",
+    "numba",
+    "llvmlite",
+    "threadpoolctl",
+}
 BAG_LIBRARIES = {"mcap", "rosbags", "apsw"}
 
 API = ROOT / PACKAGE / "__init__.py"  # names everything public, imports nothing before it is used

@@ -373,6 +373,7 @@ class TestRequirements:
             "PyYAML",
             "numba",
             "llvmlite",
+            "threadpoolctl",
         }
 
 

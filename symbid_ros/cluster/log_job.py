@@ -311,7 +311,7 @@ def _require_supported(request: BagRequest) -> None:
         "tare": bool(options.tare),
         "choose_truncation": options.choose_truncation is not None,
         "filter": options.row_filter != "weak",
-        "drive_gain": bool(options.drive_gain) and not options.unchecked,
+        "drive_gain": bool(options.drive_gains) and not options.unchecked,
         "imu_mounting": "imu_mounting" in options.sensor_error_kinds,
         "sensor_delay": "sensor_delay" in options.sensor_error_kinds,
     }

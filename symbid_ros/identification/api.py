@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.diagnosis import doctor
 from symbid_ros.diagnosis.findings import Diagnosis
 from symbid_ros.dynamics.imu import BaseMotion
@@ -31,6 +32,7 @@ from symbid_ros.signals.log import Log
 T = TypeVar("T", bound=RobotOptions)
 
 
+@on_one_blas_thread
 def identify(
     robot: RobotModel,
     log: Log | LogInformation,
@@ -69,6 +71,7 @@ def identify(
     return Result(found.estimate, options, found, problem.parameters)
 
 
+@on_one_blas_thread
 def diagnose(
     robot: RobotModel | None, log: Log, options: RobotOptions | None = None, **fields: Any
 ) -> Diagnosis:
@@ -100,6 +103,7 @@ def diagnose(
     return diagnosis.with_finding(found.finding(robot.source))
 
 
+@on_one_blas_thread
 def merge(records: Sequence[LogInformation]) -> LogInformation:
     """Add up the information of several logs of one robot.
 

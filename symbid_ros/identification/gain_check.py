@@ -1,11 +1,11 @@
-"""Checks whether the efforts of an arm have wrong factors, such as those of torque constants.
+"""Finds efforts of an arm that have wrong factors, such as those of torque constants.
 
 Links follow such errors in part: residuals stay small, and masses come out far off. With a factor
 on each effort as a further unknown, both fit.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,10 +30,63 @@ REMAINS, UNDERSTOOD = 0.85, 10.0
 CERTAIN, RELEVANT, LARGEST = 3.0, 0.05, 3.0
 
 
-def gain_alarm(
+@dataclass(frozen=True)
+class WrongFactors:
+    """Efforts that have other factors than those of most joints.
+
+    Attributes
+    ----------
+    joints : tuple of str
+    factors : tuple of float
+        Of each joint, from the torque to the reading.
+    before, after : float
+        Held-out error without and with factors, percent of the measured effort.
+    """
+
+    joints: tuple[str, ...]
+    factors: tuple[float, ...]
+    before: float
+    after: float
+
+    def are_explained(self, checked: HoldOut) -> bool:
+        """Return whether a check with these joints' factors as unknowns is as good as with all."""
+        after = checked.percent_after
+        return after is not None and after <= _most(self.before)
+
+    @property
+    def alarm(self) -> str:
+        """What is wrong."""
+        named = ", ".join(
+            f"{joint} reads {factor:.2g} times the torque"
+            for joint, factor in zip(self.joints, self.factors, strict=True)
+        )
+        return (
+            f"the efforts have wrong factors: relative to the other joints, {named}; with these, "
+            f"the end of the log is predicted to {self.after:.2g} instead of {self.before:.2g} %; "
+            "check torque constants and gear ratios"
+        )
+
+    @property
+    def identified(self) -> str:
+        """The alarm if the factors of these joints are identified."""
+        return (
+            f"{self.alarm}; the factors of these joints are identified, `drive_gain` none takes "
+            "their efforts as they are"
+        )
+
+    @property
+    def not_identified(self) -> str:
+        """The alarm if they are not."""
+        return (
+            f"{self.alarm}, or let `drive_gain` all identify the factors, which leaves the scale "
+            "of the masses open without a known payload"
+        )
+
+
+def wrong_factors(
     problem: LoadedProblem, checked: HoldOut, hold_out: Callable[[LoadedProblem], HoldOut]
-) -> str | None:
-    """Return an alarm if factors of the efforts explain a log better; None if they do not.
+) -> WrongFactors | None:
+    """Return which efforts' factors explain a log better; None if none do.
 
     Parameters
     ----------
@@ -47,20 +100,19 @@ def gain_alarm(
     if before is None or not _is_candidate(problem) or _square(problem.solver) < LEAST_SQUARE:
         return None
     try:
-        options = replace(problem.options, drive_gain=("all",))
-        gained = problem.with_prior(problem.prior, options)
+        gained = problem.with_drive_gains(("all",))
         after = hold_out(gained).percent_after
     except SymbidError:
         return None
-    named = _unlike(gained.solver)
-    if after is None or after > min(REMAINS * before, UNDERSTOOD) or not named:
+    unlike = _unlike(gained.solver)
+    if after is None or after > _most(before) or not unlike:
         return None
-    return (
-        f"the efforts have wrong factors: relative to the other joints, {named}; with these, the "
-        f"end of the log is predicted to {after:.2g} instead of {before:.2g} %; check torque "
-        "constants and gear ratios, or let `drive_gain` all identify the factors, which leaves the "
-        "scale of the masses open without a known payload"
-    )
+    return WrongFactors(tuple(unlike), tuple(unlike.values()), before, after)
+
+
+def _most(before: float) -> float:
+    """Return the largest held-out error, percent, with which factors explain what was wrong."""
+    return min(REMAINS * before, UNDERSTOOD)
 
 
 def _is_candidate(problem: LoadedProblem) -> bool:
@@ -68,8 +120,7 @@ def _is_candidate(problem: LoadedProblem) -> bool:
     options, parameters = problem.options, problem.parameters
     model = parameters.model
     return (
-        options.searches
-        and not options.has_further_unknowns
+        options.finds_drive_gains
         and not (model.floating or model.contacts or model.wrist_sensors or parameters.payloads)
         and problem.solver.problem.calibrated_rows is None
         and len(named_joints(("all",), model)) > 1
@@ -95,8 +146,8 @@ def _square(solver: Solver) -> float:
     return float(error @ np.linalg.solve(covariance, error)) / len(error)
 
 
-def _unlike(solver: Solver) -> str:
-    """Return the joints whose efforts differ from those of the others, and by how much.
+def _unlike(solver: Solver) -> dict[str, float]:
+    """Return the joints whose efforts differ from those of the others, and the factors.
 
     It is empty if some factors are implausible.
     """
@@ -112,9 +163,9 @@ def _unlike(solver: Solver) -> str:
     change = np.average(logs[usual], weights=relative[usual] ** -2) - logs
     is_unlike = np.abs(change) > np.maximum(CERTAIN * relative, RELEVANT)
     if np.any(np.abs(change[is_unlike]) > np.log(LARGEST)):
-        return ""
-    return ", ".join(
-        f"{name.rpartition('/')[0]} reads {one:.2g} times the torque"
+        return {}
+    return {
+        name.rpartition("/")[0]: float(one)
         for name, one, unlike in zip(names, np.exp(change), is_unlike, strict=True)
         if unlike
-    )
+    }

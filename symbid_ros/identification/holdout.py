@@ -12,7 +12,7 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.force_errors import RELEVANT
-from symbid_ros.identification.gain_check import gain_alarm
+from symbid_ros.identification.gain_check import WrongFactors, wrong_factors
 from symbid_ros.identification.likely_cause import explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
@@ -51,18 +51,24 @@ UNPREDICTED = (
 )
 
 
+# A problem of a log, its solution, the check on the end of the log, and the forces there.
+_Checked = tuple[LoadedProblem, Identification, HoldOut, ForceSeries | None]
+
+
 def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identification]:
     """Identify a log; a trial without its last quarter shows how well that is predicted.
 
     The trial chooses joint terms, prior scale and sensor errors from the earlier part alone. It
     uses the window length of the whole log. If the identified robot predicts the last quarter worse
     than the model file, and better with the stated prior, that prior is kept: where the equation of
-    motion is wrong, the data would widen it without bound.
+    motion is wrong, the data would widen it without bound. If factors on some joints' efforts
+    predict it much better, these are identified, and an alarm says so.
 
     Returns
     -------
     LoadedProblem
-        The problem that was solved: the given one, or the same with the stated prior.
+        The problem that was solved: the given one, or the same with the stated prior or with
+        factors of efforts.
     Identification
 
     Raises
@@ -84,14 +90,19 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
             better = _with_kept_prior(problem, checked, log.begin)
             if better is not None:
                 problem, found, checked, forces = better
-    found = problem.with_provenance(explained(problem, found))
+    alarm = None
     if checked is not None and checked.advice == "unfit":
-        found = _with_alarm(found, UNPREDICTED.format(checked.summary))
+        alarm = UNPREDICTED.format(checked.summary)
     elif checked is not None:
         window = found.window
-        alarm = gain_alarm(problem, checked, lambda one: _hold_out(one, window, log.begin)[0])
-        if alarm is not None:
-            found = _with_alarm(found, alarm)
+        wrong = wrong_factors(problem, checked, lambda one: _hold_out(one, window, log.begin)[0])
+        if wrong is not None:
+            better = _with_factors(problem, wrong, log.begin)
+            alarm = wrong.not_identified if better is None else wrong.identified
+            problem, found, checked, forces = better or (problem, found, checked, forces)
+    found = problem.with_provenance(explained(problem, found))
+    if alarm is not None:
+        found = _with_alarm(found, alarm)
     if forces is None:
         forces = _predict_end(problem, found, log.begin)
     found = replace(
@@ -110,9 +121,18 @@ def _with_alarm(found: Identification, alarm: str) -> Identification:
     return replace(found, estimate=replace(found.estimate, verdict=verdict))
 
 
-def _with_kept_prior(
-    problem: LoadedProblem, before: HoldOut, begin: int
-) -> tuple[LoadedProblem, Identification, HoldOut, ForceSeries | None] | None:
+def _with_factors(problem: LoadedProblem, wrong: WrongFactors, begin: int) -> _Checked | None:
+    """Identify wrong factors of efforts too; None unless that predicts the end of the log."""
+    try:
+        gained = problem.with_drive_gains(wrong.joints)
+        found = gained.solve()
+        checked, forces = _hold_out(gained, found.window, begin)
+    except SymbidError:
+        return None
+    return (gained, found, checked, forces) if wrong.are_explained(checked) else None
+
+
+def _with_kept_prior(problem: LoadedProblem, before: HoldOut, begin: int) -> _Checked | None:
     """Identify with the stated prior; None unless that predicts the end of the log better."""
     kept = problem.with_prior(problem.prior, replace(problem.options, keep_prior=True))
     try:

@@ -114,6 +114,10 @@ class LoadedProblem:
         solver = setup.solver(self.columns, self.dataset)
         return replace(self, options=options, prior=prior, solver=solver, tares=tares)
 
+    def with_drive_gains(self, joints: tuple[str, ...]) -> "LoadedProblem":
+        """Return the same log with the factors of some joints' efforts as unknowns."""
+        return self.with_prior(self.prior, replace(self.options, drive_gain=joints))
+
     def trial_on(self, dataset: Dataset, columns: ParameterSet) -> "LoadedProblem":
         """Return the same problem with another log and its columns, solved to few digits."""
         setup = SolverSetup(self.options, self.prior, self.inputs, self.tares, self.checks)
@@ -271,7 +275,7 @@ def load_information(
     if any(len(one.layout.parameters) > len(parameters) for one in observations):
         raise EstimateError(
             "information: includes sensor errors, which belong to one log; identify that log "
-            "without `tare` and with `sensor_errors` none",
+            "without `tare`, and with `sensor_errors` and `drive_gain` none",
             "E505",
         )
     for name in (

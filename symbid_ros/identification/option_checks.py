@@ -148,13 +148,13 @@ def _check_method(options: "IdentifyOptions") -> None:
 
 
 def _check_further_unknowns(options: "IdentifyOptions") -> None:
-    if options.drive_gain and options.information is not None:
+    if options.drive_gains and options.information is not None:
         raise OptionError(
             "`information` of earlier logs has efforts in Nm and cannot be added to a log with "
             "`drive_gain`; leave one of them out, or give all bags together",
             "E503",
         )
-    if options.drive_gain and options.has_unplaced_payload_in_log:
+    if options.drive_gains and options.has_unplaced_payload_in_log:
         raise OptionError(
             "`drive_gain` with a `payload` of unknown place needs a bag without payload too: "
             "give that as the log, and the other as `payload` BAG:LINK,MASS",

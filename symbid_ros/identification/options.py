@@ -162,9 +162,10 @@ class IdentifyOptions(RobotOptions):
     )
     drive_gain: tuple[str, ...] = option(
         (),
-        "Joints whose efforts have an unknown unit or sign, such as motor currents: all, or a "
-        "comma-separated list. One factor for each is identified.",
+        "Joints whose efforts have an unknown unit or sign, such as motor currents: all, none, or "
+        "a comma-separated list. One factor for each is identified.",
         group=JOINTS,
+        unset="those whose efforts have clearly wrong factors in logs of arms",
     )
     effort_side: tuple[str, ...] = option(
         (),
@@ -357,12 +358,17 @@ class IdentifyOptions(RobotOptions):
     @property
     def has_further_unknowns(self) -> bool:
         """Whether anything but the robot's parameters is identified from rows linearised in it."""
-        return bool(self.sensor_error_kinds or self.drive_gain or self.has_unplaced_payload)
+        return bool(self.sensor_error_kinds or self.drive_gains or self.has_unplaced_payload)
 
     @property
     def drive_gains(self) -> list[str]:
         """Joints whose efforts have an unknown unit; ``all`` for all of them."""
-        return names(self.drive_gain)
+        return [name for name in names(self.drive_gain) if name != "none"]
+
+    @property
+    def finds_drive_gains(self) -> bool:
+        """Whether efforts with wrong factors are searched for in the log."""
+        return not self.drive_gain and not self.has_further_unknowns and self.searches
 
     @property
     def couplings(self) -> list[str]:
@@ -397,7 +403,7 @@ class IdentifyOptions(RobotOptions):
     @property
     def finds_compliance(self) -> bool:
         """Whether elasticity of joints is searched for in the log."""
-        named = self.named_sensor_errors or self.sensor_error_kinds or self.drive_gain
+        named = self.named_sensor_errors or self.sensor_error_kinds or self.drive_gains
         return not named and self.searches
 
     @property

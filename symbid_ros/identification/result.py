@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import load_archive, write_archive
 from symbid_ros.estimation.estimate import Estimate
@@ -263,6 +264,7 @@ class Result:
         """The information of the log, to be merged with that of other logs."""
         return LogInformation(self._identification.observations)
 
+    @on_one_blas_thread
     def predict(self, log: Log) -> ForcePrediction:
         """Predict the generalised forces of a log from its motion.
 

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import EstimateError
 from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.force_errors import (
@@ -250,6 +251,7 @@ class Comparison:
         return versioned("comparison", {"verdict": self.verdict, "ranking": ranking})
 
 
+@on_one_blas_thread
 def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = ()) -> Validation:
     """Compare what an identified robot predicts for a log with what was measured.
 
@@ -279,6 +281,7 @@ def validate_segments(
     return _assess(predictor, ForceRows.of(predictor, segments, source), source)
 
 
+@on_one_blas_thread
 def compare(
     results: Sequence[Result | str | Path], log: Log, *, payload: Sequence[str] = ()
 ) -> Comparison:

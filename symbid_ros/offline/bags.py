@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from symbid_ros.bags import bag_log, count_messages, join_names, read_streams, read_truth
+from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.choices import Base
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.provenance import Provenance, option_values
@@ -262,6 +263,7 @@ def read_realistic_motion(
     return realistic_motion(read_truth(bags), streams, model, low_pass, internal)
 
 
+@on_one_blas_thread
 def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str | Path]) -> Metrics:
     """Compare an identified robot with the true robot of a simulation.
 

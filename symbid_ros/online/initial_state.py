@@ -125,7 +125,7 @@ def _check_online(options: IdentifyOptions) -> None:
             "sensor errors belong to one run; leave `resume` out, or `sensor_errors` and `tare`",
             "E503",
         )
-    if options.drive_gain:  # a robot file may name it, for logs
+    if options.drive_gains:  # a robot file may name it, for logs
         logger.warning(
             "`drive_gain` needs several passes over a log and has no effect live, where efforts "
             "are taken as `effort_scale` converts them"

@@ -154,16 +154,24 @@ def test_gains_need_a_complete_log(model, caplog):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_wrong_torque_constants_raise_an_alarm(robot, model, seed):
-    truth = drives(robot, **FRICTION)
+def test_wrong_torque_constants_are_identified_with_an_alarm(robot, model, seed):
+    def identified(gain, **options):
+        log = log_of(robot, drives(robot, **FRICTION), seed=seed, gain=gain)
+        result = sy.identify(model, log, **options)
+        return result, [one for one in result.alarms if "wrong factors" in one]
 
-    def alarms(gain):
-        result = sy.identify(model, log_of(robot, truth, seed=seed, gain=gain))
-        return [one for one in result.alarms if "wrong factors" in one]
-
-    assert not alarms(1.0)
-    (alarm,) = alarms(np.array([1.0, 1 / 0.85, 1.0]))
+    right, alarms = identified(1.0)
+    assert not alarms
+    assert not right.estimate.verdict.sensors
+    gain = np.array([1.0, 1 / 0.85, 1.0])
+    wrong, (alarm,) = identified(gain)
     (name,) = (one for one in robot.joint_names if f"{one} reads" in alarm)
     assert name == robot.joint_names[1]
     assert f"{name} reads 0.85 times the torque" in alarm
-    assert "drive_gain" in alarm
+    assert [one.name for one in wrong.estimate.verdict.sensors] == [f"{name}/drive_gain"]
+    np.testing.assert_allclose(factors(wrong), 1 / 0.85, rtol=3e-3)
+    assert wrong.estimate.holdout.percent_after < 1.5 * right.estimate.holdout.percent_after
+    kept, alarms = identified(gain, drive_gain="none")
+    assert not alarms
+    assert not kept.estimate.verdict.sensors
+    assert kept.estimate.holdout.percent_after > 3 * wrong.estimate.holdout.percent_after
