@@ -4,8 +4,9 @@ Links follow such errors in part: residuals stay small, and masses come out far 
 on each effort as a further unknown, both fit.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.calibration import error_layout
 from symbid_ros.identification.drive_gains import named_joints
 from symbid_ros.identification.loaded_problem import LoadedProblem
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.report_data import ForceSeries
+from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN, SensorErrors
 
 # Prior deviation of the factors, and their least mean square in deviations. It is .2 to 3.5 on
@@ -25,9 +27,20 @@ PLAUSIBLE, LEAST_SQUARE = 0.2, 5.0
 # Most of the held-out error that remains with the factors: its share, and its size in percent.
 # Above that, something else is wrong, which factors follow.
 REMAINS, UNDERSTOOD = 0.85, 10.0
+# Part of the improvement by factors of all joints that those of the named ones must bring.
+LEAST_PART = 1 / 3
 # A factor is named if it differs from the usual one by these, in deviations and as a share. Units
 # differ by more than the largest ratio; the checks of the log find them.
 CERTAIN, RELEVANT, LARGEST = 3.0, 0.05, 3.0
+
+
+class Trial(NamedTuple):
+    """An identification of a log, with its check on the end of the log and the forces there."""
+
+    problem: LoadedProblem
+    found: Identification
+    checked: HoldOut
+    forces: ForceSeries | None
 
 
 @dataclass(frozen=True)
@@ -36,83 +49,72 @@ class WrongFactors:
 
     Attributes
     ----------
-    joints : tuple of str
-    factors : tuple of float
-        Of each joint, from the torque to the reading.
-    before, after : float
-        Held-out error without and with factors, percent of the measured effort.
+    alarm : str
+    trial : Trial or None
+        The identification in which these factors are unknowns; None if it explains too little.
     """
 
-    joints: tuple[str, ...]
-    factors: tuple[float, ...]
-    before: float
-    after: float
-
-    def are_explained(self, checked: HoldOut) -> bool:
-        """Return whether a check with these joints' factors as unknowns is as good as with all."""
-        after = checked.percent_after
-        return after is not None and after <= _most(self.before)
-
-    @property
-    def alarm(self) -> str:
-        """What is wrong."""
-        named = ", ".join(
-            f"{joint} reads {factor:.2g} times the torque"
-            for joint, factor in zip(self.joints, self.factors, strict=True)
-        )
-        return (
-            f"the efforts have wrong factors: relative to the other joints, {named}; with these, "
-            f"the end of the log is predicted to {self.after:.2g} instead of {self.before:.2g} %; "
-            "check torque constants and gear ratios"
-        )
-
-    @property
-    def identified(self) -> str:
-        """The alarm if the factors of these joints are identified."""
-        return (
-            f"{self.alarm}; the factors of these joints are identified, `drive_gain` none takes "
-            "their efforts as they are"
-        )
-
-    @property
-    def not_identified(self) -> str:
-        """The alarm if they are not."""
-        return (
-            f"{self.alarm}, or let `drive_gain` all identify the factors, which leaves the scale "
-            "of the masses open without a known payload"
-        )
+    alarm: str
+    trial: Trial | None
 
 
 def wrong_factors(
-    problem: LoadedProblem, checked: HoldOut, hold_out: Callable[[LoadedProblem], HoldOut]
+    problem: LoadedProblem, checked: HoldOut, tried: Callable[[LoadedProblem], Trial]
 ) -> WrongFactors | None:
     """Return which efforts' factors explain a log better; None if none do.
+
+    These joints' factors alone are identified: the others give the scale.
 
     Parameters
     ----------
     problem : LoadedProblem
     checked : HoldOut
         Its check on the end of the log.
-    hold_out : callable
-        Returns this check of another problem of the log.
+    tried : callable
+        Identifies another problem of the log.
     """
     before = checked.percent_after
     if before is None or not _is_candidate(problem) or _square(problem.solver) < LEAST_SQUARE:
         return None
-    try:
-        gained = problem.with_drive_gains(("all",))
-        after = hold_out(gained).percent_after
-    except SymbidError:
+
+    def trial_with(joints: tuple[str, ...], most: float) -> Trial | None:
+        """Return an identification with factors of joints, if it errs by at most ``most``, %."""
+        try:
+            trial = tried(problem.with_drive_gains(joints))
+        except SymbidError:
+            return None
+        after = trial.checked.percent_after
+        return trial if after is not None and after <= most else None
+
+    every = trial_with(("all",), min(REMAINS * before, UNDERSTOOD))
+    unlike = {} if every is None else _unlike(every.problem.solver)
+    if every is None or not unlike:
         return None
-    unlike = _unlike(gained.solver)
-    if after is None or after > _most(before) or not unlike:
-        return None
-    return WrongFactors(tuple(unlike), tuple(unlike.values()), before, after)
+    improvement = before - (every.checked.percent_after or 0.0)
+    some = trial_with(tuple(unlike), before - LEAST_PART * improvement)
+    if some is not None:
+        said = _alarm(_factors(some.problem.solver), before, some.checked)
+        return WrongFactors(
+            f"{said}; the factors of these joints are identified, `drive_gain` none takes their "
+            "efforts as they are",
+            some,
+        )
+    return WrongFactors(
+        f"{_alarm(unlike, before, every.checked)}, or let `drive_gain` all identify the factors, "
+        "which leaves the scale of the masses open without a known payload",
+        None,
+    )
 
 
-def _most(before: float) -> float:
-    """Return the largest held-out error, percent, with which factors explain what was wrong."""
-    return min(REMAINS * before, UNDERSTOOD)
+def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str:
+    named = ", ".join(
+        f"{joint} reads {factor:.2g} times the torque" for joint, factor in factors.items()
+    )
+    return (
+        f"the efforts have wrong factors: relative to the other joints, {named}; with these, the "
+        f"end of the log is predicted to {checked.percent_after:.2g} instead of {before:.2g} %; "
+        "check torque constants and gear ratios"
+    )
 
 
 def _is_candidate(problem: LoadedProblem) -> bool:
@@ -146,6 +148,15 @@ def _square(solver: Solver) -> float:
     return float(error @ np.linalg.solve(covariance, error)) / len(error)
 
 
+def _factors(solver: Solver) -> dict[str, float]:
+    """Return the joints whose factors are unknowns, with reading over torque."""
+    gains = solver.posterior.mean[len(solver.problem.parameters) :]
+    names = solver.problem.sensor_names
+    return {
+        name.rpartition("/")[0]: float(1 / gain) for name, gain in zip(names, gains, strict=True)
+    }
+
+
 def _unlike(solver: Solver) -> dict[str, float]:
     """Return the joints whose efforts differ from those of the others, and the factors.
 
@@ -156,12 +167,16 @@ def _unlike(solver: Solver) -> dict[str, float]:
     gains: FloatArray = found.mean[count:]
     relative = np.linalg.norm(found.deviation_factor[count:], axis=1) / np.abs(gains)
     logs = np.log(np.abs(gains))
-    # The factor that most joints have is taken as right.
+    # The factor that most joints with well-known factors have is taken as right.
+    known = CERTAIN * relative < PLAUSIBLE
+    if not known.any():
+        return {}
     apart = np.abs(logs[:, None] - logs)
     is_alike = apart < np.maximum(CERTAIN * np.hypot(relative[:, None], relative), RELEVANT)
+    is_alike &= known & known[:, None]
     usual = is_alike[np.lexsort([relative, -is_alike.sum(axis=1)])[0]]
     change = np.average(logs[usual], weights=relative[usual] ** -2) - logs
-    is_unlike = np.abs(change) > np.maximum(CERTAIN * relative, RELEVANT)
+    is_unlike = known & (np.abs(change) > np.maximum(CERTAIN * relative, RELEVANT))
     if np.any(np.abs(change[is_unlike]) > np.log(LARGEST)):
         return {}
     return {

@@ -12,7 +12,7 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.force_errors import RELEVANT
-from symbid_ros.identification.gain_check import WrongFactors, wrong_factors
+from symbid_ros.identification.gain_check import Trial, wrong_factors
 from symbid_ros.identification.likely_cause import explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
@@ -49,10 +49,6 @@ UNPREDICTED = (
     "the log does not predict its own end: {}; record longer and more varied motion, or correct "
     "what differs there, such as a load or a contact"
 )
-
-
-# A problem of a log, its solution, the check on the end of the log, and the forces there.
-_Checked = tuple[LoadedProblem, Identification, HoldOut, ForceSeries | None]
 
 
 def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identification]:
@@ -94,12 +90,10 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
     if checked is not None and checked.advice == "unfit":
         alarm = UNPREDICTED.format(checked.summary)
     elif checked is not None:
-        window = found.window
-        wrong = wrong_factors(problem, checked, lambda one: _hold_out(one, window, log.begin)[0])
+        wrong = wrong_factors(problem, checked, lambda one: _tried(one, log.begin))
         if wrong is not None:
-            better = _with_factors(problem, wrong, log.begin)
-            alarm = wrong.not_identified if better is None else wrong.identified
-            problem, found, checked, forces = better or (problem, found, checked, forces)
+            alarm = wrong.alarm
+            problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
     found = problem.with_provenance(explained(problem, found))
     if alarm is not None:
         found = _with_alarm(found, alarm)
@@ -121,31 +115,24 @@ def _with_alarm(found: Identification, alarm: str) -> Identification:
     return replace(found, estimate=replace(found.estimate, verdict=verdict))
 
 
-def _with_factors(problem: LoadedProblem, wrong: WrongFactors, begin: int) -> _Checked | None:
-    """Identify wrong factors of efforts too; None unless that predicts the end of the log."""
-    try:
-        gained = problem.with_drive_gains(wrong.joints)
-        found = gained.solve()
-        checked, forces = _hold_out(gained, found.window, begin)
-    except SymbidError:
-        return None
-    return (gained, found, checked, forces) if wrong.are_explained(checked) else None
+def _tried(problem: LoadedProblem, begin: int) -> Trial:
+    found = problem.solve()
+    return Trial(problem, found, *_hold_out(problem, found.window, begin))
 
 
-def _with_kept_prior(problem: LoadedProblem, before: HoldOut, begin: int) -> _Checked | None:
+def _with_kept_prior(problem: LoadedProblem, before: HoldOut, begin: int) -> Trial | None:
     """Identify with the stated prior; None unless that predicts the end of the log better."""
     kept = problem.with_prior(problem.prior, replace(problem.options, keep_prior=True))
     try:
-        found = kept.solve()
-        checked, forces = _hold_out(kept, found.window, begin)
+        trial = _tried(kept, begin)
     except SymbidError:
         return None
+    found, checked = trial.found, trial.checked
     errors = checked.percent_after, before.percent_after
     if errors[0] is None or errors[1] is None or RELEVANT * errors[0] >= errors[1]:
         return None
     remarks = (*found.estimate.remarks, PRIOR_KEPT.format(before.summary))
-    found = replace(found, estimate=replace(found.estimate, remarks=remarks))
-    return kept, found, checked, forces
+    return trial._replace(found=replace(found, estimate=replace(found.estimate, remarks=remarks)))
 
 
 def check_holdout(problem: LoadedProblem, window: float) -> HoldOut:
