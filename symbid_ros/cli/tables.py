@@ -16,7 +16,12 @@ from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.identification.force_errors import ForceError
-from symbid_ros.identification.validation import Comparison, Validation, percent
+from symbid_ros.identification.validation import (
+    Comparison,
+    Validation,
+    describe_files,
+    percent,
+)
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.options import spelled
 from symbid_ros.report.content import METRICS, MethodResult, best_labels
@@ -238,14 +243,18 @@ def _lines(estimate: Estimate, out: Path) -> list[RenderableType]:
         lines += [Text(remark) for remark in estimate.remarks]
         lines += [Text(line) for line in estimate.describe_warming()]
         lines += [Text(payload) for payload in estimate.describe_payloads()]
-        lines += _verdict_lines(verdict, len(estimate.names) - len(estimate.fixed))
+        lines += _verdict_lines(estimate, verdict)
     if estimate.holdout is not None:
-        lines.insert(1, Text(f"held out: {estimate.holdout.summary}"))
+        found = estimate.holdout
+        lines.insert(1, Text(f"held out: {found.summary}"))
+        if files := describe_files(found.file_percents, found.percent_after):
+            lines.insert(2, Text(files))
     files = "estimate.json, information.npz, model.urdf, model.xml"
     return [*lines, Text(f"wrote {out}/: {files}")]
 
 
-def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
+def _verdict_lines(estimate: Estimate, verdict: Verdict) -> list[RenderableType]:
+    parameters = len(estimate.names) - len(estimate.fixed)
     lines: list[RenderableType] = [
         f"{len(verdict.directions)} of {parameters} directions determined, "
         f"{verdict.gain:.0f} bits gained"
@@ -261,14 +270,20 @@ def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
     if verdict.unexplained:
         worst = verdict.unexplained[0]
         what = f"at most {worst}" if worst.size else "nothing unexplained"
-        lines.append(Text(f"{what}, apart from noise"))
+        if not verdict.is_coloured:  # else an alarm says so
+            lines.append(Text(f"{what}, apart from noise"))
     if scale := verdict.describe_mass_scale():
         lines.append(Text(scale))
     if not verdict.alarms:
         return [*lines, Text("no alarm", style="green")]
     count = len(verdict.alarms)
     alarms = "1 alarm" if count == 1 else f"{count} alarms"
-    return [*lines, Text(f"{alarms}: do not trust these numbers yet", style="bold red")]
+    advice = (
+        "use this model for predictions, not its single parameters"
+        if estimate.predicts_better
+        else "do not trust these numbers yet"
+    )
+    return [*lines, Text(f"{alarms}: {advice}", style="bold red")]
 
 
 def errors_table(title: str, errors: Mapping[str, float]) -> Table:

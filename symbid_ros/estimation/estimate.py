@@ -7,7 +7,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import TERMS, Channels, Filter
 from symbid_ros.estimation.provenance import Provenance
-from symbid_ros.estimation.verdict import Verdict
+from symbid_ros.estimation.verdict import WRONG_FACTORS, Verdict
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.ripple import RIPPLE_TERM
@@ -57,6 +57,8 @@ class HoldOut:
         RMS error before and after for each coordinate, Nm or N.
     summary : str
         The same as a sentence with figures.
+    file_percents : dict of str to float
+        Error of what each model file of the result holds, percent of the measured torque.
     """
 
     seconds: float
@@ -66,6 +68,7 @@ class HoldOut:
     repeats: float
     coordinates: dict[str, tuple[float, float]]
     summary: str
+    file_percents: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -183,6 +186,21 @@ class Estimate:
         names = parameters.names[: parameters.inertial]
         reference = np.array([self.load_reference.get(name, 0.0) for name in names])
         return replace(parameters, reference=reference)
+
+    @property
+    def predicts_better(self) -> bool:
+        """Whether predictions improve, and no alarm is about what spoils them too.
+
+        The others are about what the model leaves over, and about factors of efforts that are
+        identified. With faults of sensors, predictions of a log with the same fault improve.
+        """
+        verdict, holdout = self.verdict, self.holdout
+        if verdict is None or holdout is None or holdout.advice != "better":
+            return False
+        widened = verdict.is_prior_scaled and verdict.prior_scale > verdict.largest_prior_scale
+        has_factors = any(WRONG_FACTORS in alarm for alarm in verdict.alarms)
+        identified = has_factors and bool(verdict.describe_drive_gains())
+        return len(verdict.alarms) == widened + verdict.is_coloured + identified
 
     @property
     def fixed(self) -> frozenset[str]:

@@ -31,6 +31,8 @@ SUSPICIOUS_GROWTH = 1.4
 # Largest share of a direction's apparent information that may be noise in the regressor.
 SUSPICIOUS_NOISE = 0.5
 
+# What the alarm about factors of efforts begins with.
+WRONG_FACTORS = "the efforts have wrong factors"
 NOTHING = (
     "the data determined nothing, and all numbers are those of the prior: record more motion, or "
     "name fewer joint terms, as Coulomb friction needs windows in which each joint slips"

@@ -117,6 +117,8 @@ class ForceRows:
         Predicted forces of the moving links: what motion adds, and what holds them still.
     variance : (N, n) float64
         Of the identified model's error; NaN if it is unknown.
+    in_urdf, in_xml : (N, n) float64
+        Predictions by what model.urdf and model.xml hold of the identified model.
     specific_force : (N, 3) float64
         Force on a floating base per unit of total mass, m/s²; zero for a fixed base.
     duration : float
@@ -135,6 +137,8 @@ class ForceRows:
     motion: FloatArray
     gravity: FloatArray
     variance: FloatArray
+    in_urdf: FloatArray
+    in_xml: FloatArray
     specific_force: FloatArray
     duration: float
     seconds: frozenset[int]
@@ -211,6 +215,18 @@ class ForceRows:
     def error_after(self) -> FloatArray:
         """(N, n) measured minus predicted forces of the identified model, zero if not valid."""
         return np.asarray((self.y - self.after) * self.valid)
+
+    def file_errors(self, places: IntArray) -> dict[str, float]:
+        """Return the percent error of each model file of the result at some coordinates.
+
+        It is empty if nothing was measured there.
+        """
+        files = {"model.urdf": self.in_urdf, "model.xml": self.in_xml}
+        errors = {
+            name: replace(self, after=predicted).error(places, name).percent_after
+            for name, predicted in files.items()
+        }
+        return {name: value for name, value in errors.items() if value is not None}
 
     @property
     def is_slow(self) -> BoolArray:
@@ -307,6 +323,8 @@ def _predict(predictor: ForcePredictor, part: PredictionRows) -> ForceRows:
         motion=(K[..., inertial] @ unknowns[inertial] - part.gravity) * valid,
         gravity=part.gravity * valid,
         variance=variance,
+        in_urdf=K @ predictor.in_file("model.urdf"),
+        in_xml=K @ predictor.in_file("model.xml"),
         specific_force=specific_force,
         duration=0.0,
         seconds=frozenset(),

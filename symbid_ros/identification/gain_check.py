@@ -14,6 +14,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.effort_columns import EffortColumns
 from symbid_ros.estimation.estimate import HoldOut
+from symbid_ros.estimation.verdict import WRONG_FACTORS
 from symbid_ros.identification.calibration import error_layout
 from symbid_ros.identification.drive_gains import named_joints
 from symbid_ros.identification.loaded_problem import LoadedProblem
@@ -111,7 +112,7 @@ def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str
         f"{joint} reads {factor:.2g} times the torque" for joint, factor in factors.items()
     )
     return (
-        f"the efforts have wrong factors: relative to the other joints, {named}; with these, the "
+        f"{WRONG_FACTORS}: relative to the other joints, {named}; with these, the "
         f"end of the log is predicted to {checked.percent_after:.2g} instead of {before:.2g} %; "
         "check torque constants and gear ratios"
     )

@@ -200,6 +200,7 @@ def _hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOu
         repeats=repeats,
         coordinates={one.name: (one.rmse_before, one.rmse_after) for one in found.coordinates},
         summary=summary,
+        file_percents=found.file_percents,
     )
     return checked, forces
 

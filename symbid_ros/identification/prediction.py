@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.choices import Base
+from symbid_ros.choices import Base, Term
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import with_all_rows, with_contacts, without_contacts
@@ -34,6 +34,11 @@ from symbid_ros.signals.sensor_errors import ALL_KINDS, DRIVE_GAIN, PLACE, Senso
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base, build_samples
 from symbid_ros.signals.weak_form import check_windows, equation_rows, windowed_rows
 
+# Joint terms that the model files of a result hold.
+FILE_TERMS: dict[str, frozenset[Term]] = {
+    "model.urdf": frozenset(("viscous", "coulomb")),
+    "model.xml": frozenset(("viscous", "coulomb", "armature", "stiffness")),
+}
 CHUNK = 512  # samples whose efforts and gravity are computed at once
 
 
@@ -197,6 +202,21 @@ class ForcePredictor:
         """(p + s,) parameters of the original model with the identified sensor errors."""
         count = len(self.parameters)
         return np.concatenate([self.estimate.prior, self.unknowns[count:]])
+
+    def in_file(self, name: str) -> FloatArray:
+        """Return the unknowns (p + s,) as a model file of the result holds them.
+
+        What it cannot hold is zero: other joint terms, shared drives, ripples, negative friction.
+        """
+        unknowns = self.unknowns.copy()
+        is_held = np.zeros(len(self.parameters), dtype=bool)
+        is_held[: self.parameters.inertial] = True
+        is_held[self.parameters.sensor_offsets] = True
+        for term, place in self.parameters.term_columns.items():
+            if term in FILE_TERMS[name]:
+                is_held[place] = unknowns[place] > 0
+        unknowns[: len(is_held)][~is_held] = 0.0
+        return unknowns
 
     def over_windows(self, window: float) -> "ForcePredictor":
         """Return a predictor of rows averaged over windows of another length, s.

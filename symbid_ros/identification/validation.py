@@ -118,6 +118,8 @@ class Validation:
         than was measured.
     verdict : str
         The same as a sentence with figures.
+    file_percents : dict of str to float
+        Percent errors, as ``percent_after``, of what each model file of the result holds.
     efforts : PredictedEfforts
     deciding : tuple of ForceError
         Errors by which the advice was chosen; ``main`` is one of them.
@@ -140,6 +142,7 @@ class Validation:
     normalized_square: float | None
     advice: Advice
     verdict: str
+    file_percents: dict[str, float]
     efforts: PredictedEfforts = field(repr=False, compare=False)
     deciding: tuple[ForceError, ...] = ()
 
@@ -191,6 +194,7 @@ class Validation:
             "advice": self.advice,
             "percent_before": self.percent_before,
             "percent_after": self.percent_after,
+            "file_percents": self.file_percents,
             "result": self.result,
             "model": self.model,
             "method": self.method,
@@ -384,6 +388,7 @@ def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validati
         normalized_square=None if calibration is None else calibration[1],
         advice=_advice(changes),
         verdict="",
+        file_percents=rows.file_errors(rows.main),
         efforts=PredictedEfforts.of(rows),
     )
     if found.percent_after is not None and found.percent_after >= NO_MODEL:
@@ -466,6 +471,14 @@ def describe_change(error: ForceError) -> str:
     what = forces.get(error.name, "torque")
     change = percent_change(error.percent_before, error.percent_after)
     return f"{change} of the measured {what}"
+
+
+def describe_files(percents: Mapping[str, float], after: float | None) -> str:
+    """Return the errors of model files that hold less than the identified model; may be empty."""
+    if not any(differ_relevantly(after, value) for value in percents.values()):
+        return ""
+    errors = ", ".join(f"{name} alone errs by {percent(value)}" for name, value in percents.items())
+    return f"{errors}: a model file cannot hold all joint terms"
 
 
 def percent_change(before: float, after: float) -> str:

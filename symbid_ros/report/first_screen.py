@@ -11,7 +11,7 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.force_errors import differ_relevantly
 from symbid_ros.identification.holdout import REPEATED
 from symbid_ros.identification.report_data import ReportData
-from symbid_ros.identification.validation import percent, percent_change
+from symbid_ros.identification.validation import describe_files, percent, percent_change
 from symbid_ros.report.content import PRIOR, MethodResult, ReportContent
 from symbid_ros.report.formatting import ABSENT, significant, with_std
 from symbid_ros.report.robot_summary import RobotSummary
@@ -61,7 +61,8 @@ def recommend(estimate: Estimate) -> Recommendation:
         else ""
     )
     if holdout.advice == "better":
-        return Recommendation("good", f"Use this model: {figure}{calm}.", repeats)
+        remark = _joined(repeats, _files(estimate))
+        return Recommendation("good", f"Use this model: {figure}{calm}.", remark)
     if holdout.advice == "equal" and differ_relevantly(
         holdout.percent_before, holdout.percent_after
     ):
@@ -82,25 +83,30 @@ def recommend(estimate: Estimate) -> Recommendation:
 def _with_alarms(estimate: Estimate, number: int) -> Recommendation:
     count = "1 alarm" if number == 1 else f"{number} alarms"
     figure = f"; {change_on_held_out_data(estimate)}" if _is_tried(estimate) else ""
-    if _predicts_better(estimate):
+    if estimate.predicts_better:
         return Recommendation(
             "caution",
             f"Use this model for predictions, not its single parameters: {count}{figure}.",
-            "The model lacks an effect that the robot has, or started far from it.",
+            _joined(
+                "Either the robot has an effect that the model lacks, or the model file is far "
+                "from the robot.",
+                _files(estimate),
+            ),
         )
     return Recommendation("bad", f"Do not use this model yet: {count}{figure}.")
 
 
-def _predicts_better(estimate: Estimate) -> bool:
-    """Return whether predictions improve, and all alarms are about what the model leaves over.
+def _files(estimate: Estimate) -> str:
+    """Return by how much the model files alone err, as a sentence; may be empty."""
+    holdout = estimate.holdout
+    if holdout is None:
+        return ""
+    found = describe_files(holdout.file_percents, holdout.percent_after)
+    return f"{found}." if found else ""
 
-    Faults of sensors are different: predictions of a log with the same fault improve with it.
-    """
-    verdict, holdout = estimate.verdict, estimate.holdout
-    if verdict is None or holdout is None or holdout.advice != "better":
-        return False
-    widened = verdict.is_prior_scaled and verdict.prior_scale > verdict.largest_prior_scale
-    return len(verdict.alarms) == widened + verdict.is_coloured
+
+def _joined(*sentences: str) -> str:
+    return " ".join(filter(None, sentences))
 
 
 def _is_tried(estimate: Estimate) -> bool:
@@ -144,7 +150,7 @@ def key_figures(content: ReportContent) -> tuple[KeyFigure, ...]:
             KeyFigure(
                 "Measured",
                 describe_measured(estimate),
-                "parameter combinations; all others keep their original values",
+                "parameter combinations; the others keep the model file’s values",
             )
         )
     figures += _error_against_truth(content)
@@ -219,8 +225,10 @@ class ErrorBar:
         The same in percent of the measured force; empty if that is unknown.
     width_before, width_after : float
         Percent of the longest bar.
-    is_cut : bool
-        Whether the bar before is cut off.
+    cut_before, cut_after : bool
+        Whether a bar is cut off.
+    is_worse : bool
+        Whether the error has grown by a relevant factor.
     """
 
     name: str
@@ -230,7 +238,9 @@ class ErrorBar:
     share_after: str
     width_before: float
     width_after: float
-    is_cut: bool
+    cut_before: bool
+    cut_after: bool
+    is_worse: bool
 
 
 @dataclass(frozen=True)
@@ -254,7 +264,7 @@ class ErrorBars:
     @property
     def has_cut(self) -> bool:
         """Whether a bar is cut off."""
-        return any(bar.is_cut for bar in self.bars)
+        return any(bar.cut_before or bar.cut_after for bar in self.bars)
 
     @property
     def shown(self) -> tuple[ErrorBar, ...]:
@@ -308,13 +318,17 @@ def _scaled(rows: Sequence[ErrorRow], note: str) -> ErrorBars | None:
     is_relative = bool(np.any(measured > 0))
     scale = np.ones(len(rows))
     if is_relative:
-        # A joint without load has no percentage; its bars are those of the least loaded joint.
-        least = float(np.min(measured[measured > 0]))
-        scale = np.where(measured > 0, measured, least) / 100
+        # A joint without load has no percentage, and no bar.
+        scale = np.where(measured > 0, measured, np.inf) / 100
     longest = robust_maximum(np.maximum(before, after) / scale)
     if is_relative:
         # An original model that errs by more than was measured must not hide the identified one's.
         longest = min(longest, max(100.0, robust_maximum(after / scale)))
+    longest = rounded_up(longest)
+
+    def is_cut(length: float) -> bool:
+        return length > longest * (1 + 1e-9)
+
     bars = []
     for row, size in zip(rows, scale.tolist(), strict=True):
         name, unit, first, second, load = row
@@ -328,7 +342,9 @@ def _scaled(rows: Sequence[ErrorRow], note: str) -> ErrorBars | None:
                 percent(second / size) if has_share else "",
                 _width(first / size, longest),
                 _width(second / size, longest),
-                bool(max(first, second) / size > longest * (1 + 1e-9)),
+                is_cut(first / size),
+                is_cut(second / size),
+                second > first and differ_relevantly(first, second),
             )
         )
     order = np.argsort(-np.maximum(before, after) / scale, kind="stable")
@@ -340,6 +356,14 @@ def _scaled(rows: Sequence[ErrorRow], note: str) -> ErrorBars | None:
 
 def _width(value: float, longest: float) -> float:
     return round(100 * min(value / longest, 1.0), 1) if longest > 0 else 0.0
+
+
+def rounded_up(value: float) -> float:
+    """Return the next larger of 1, 2 and 5 times a power of ten; zero for zero."""
+    if value <= 0:
+        return 0.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * next(step for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9)))
 
 
 def robust_maximum(values: FloatArray) -> float:

@@ -14,6 +14,7 @@ from symbid_ros.report.first_screen import (
     key_figures,
     recommend,
     robust_maximum,
+    rounded_up,
 )
 
 ALARM = "the residuals are not white noise"
@@ -52,6 +53,12 @@ class TestRecommendation:
     def test_a_small_change_is_none(self):
         found = recommend(estimate("equal", percent_after=9.3))
         assert found.sentence.startswith("This model hardly differs from the original: ")
+
+    def test_errors_of_files_that_hold_less_are_said(self):
+        files = {"model.urdf": 4.5, "model.xml": 1.21}
+        remark = recommend(estimate(file_percents=files)).remark
+        assert "model.urdf alone errs by 4.5 %, model.xml alone errs by 1.2 %" in remark
+        assert not recommend(estimate(file_percents={"model.urdf": 1.2})).remark
 
     def test_an_alarm_comes_first(self):
         found = recommend(estimate(alarms=(ALARM,)))
@@ -113,9 +120,9 @@ class TestErrorBars:
     def test_an_outlier_is_cut_and_the_others_stay_visible(self):
         found = error_bars(content_of_a_log(8, outlier=1e5).shown)
         first, *others = found.bars
-        assert (first.name, first.is_cut, first.width_before) == ("joint_0", True, 100)
+        assert (first.name, first.cut_before, first.width_before) == ("joint_0", True, 100)
         assert found.has_cut
-        assert all(bar.width_before > 20 and not bar.is_cut for bar in others)
+        assert all(bar.width_before > 20 and not bar.cut_before for bar in others)
 
     def test_the_largest_come_first_and_many_are_folded(self):
         found = error_bars(content_of_a_log(29).shown)
@@ -131,7 +138,7 @@ class TestErrorBars:
             *("knee", "4.00 Nm", "1.00 Nm"),
             "",
         )
-        assert (knee.width_before, hip.width_before, hip.width_after) == (100, 50, 12.5)
+        assert (knee.width_before, hip.width_before, hip.width_after) == (80, 40, 10)
 
     def test_a_joint_without_load_has_no_percentage(self):
         shown = content_of_a_log(3).shown
@@ -141,7 +148,24 @@ class TestErrorBars:
         log = replace(shown.log, forces=replace(forces, rms_measured=loads))
         bars = {bar.name: bar for bar in error_bars(replace(shown, log=log)).bars}
         assert bars["joint_2"].share_after == ""
-        assert 0 < bars["joint_2"].width_after < 100
+        assert (bars["joint_2"].width_before, bars["joint_2"].width_after) == (0, 0)
+
+    def test_an_error_that_has_grown_is_marked_and_cut_by_itself(self):
+        shown = content_of_a_log(3).shown
+        forces = shown.log.forces
+        after = forces.rmse_after.copy()
+        place = forces.coordinates.index("joint_1")
+        after[place] = 1.5 * max(forces.rmse_before[place], forces.rms_measured[place])
+        log = replace(shown.log, forces=replace(forces, rmse_after=after))
+        found = error_bars(replace(shown, log=log))
+        bars = {bar.name: bar for bar in found.bars}
+        assert [name for name, bar in bars.items() if bar.is_worse] == ["joint_1"]
+        assert bars["joint_1"].width_after > bars["joint_1"].width_before
+
+    def test_the_scale_is_a_round_number(self):
+        assert [rounded_up(value) for value in (17.0, 77.0, 99.0, 100.0, 0.3, 0.0)] == [
+            *(20, 100, 100, 100, 0.5, 0),
+        ]
 
 
 def test_the_robust_maximum_ignores_few_large_values():
