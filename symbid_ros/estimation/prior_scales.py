@@ -13,6 +13,9 @@ from symbid_ros.arrays import FloatArray
 SCALES = (1e-2, 1e4)
 # Deviation of the logarithm of the ratio of two factors: one kind of error may be e² times larger.
 RATIO_STD = 2.0
+# Deviation of the logarithm of a factor below one. Without it, data that hold one or two
+# directions, in which the stated values happen to be right, would call all values exact.
+NARROWING_STD = 1.0
 # Newton steps of the search for these factors at most, the longest and the shortest in their
 # logarithms, and by how much the cost must still fall.
 SEARCH_STEPS, LONGEST_STEP, SHORTEST_STEP, LEAST_FALL = 50, 1.0, 1e-9, 1e-12
@@ -45,7 +48,7 @@ class PriorEvidence:
             value = np.sum(np.log1p(ratio) - known * fit)
             slope = 2 * np.sum(known * (1 - unknown * fit))
             bend = 4 * np.sum(known * unknown * (1 + (known - unknown) * fit))
-            return float(value), np.array([slope]), np.array([[bend]])
+            return _with_narrowing(log_scale, (float(value), np.array([slope]), np.array([[bend]])))
 
         grid = np.linspace(np.log(SCALES[0]), np.log(SCALES[1]), 37)[:, None]
         best = min(grid, key=lambda point: cost(point)[0])
@@ -80,9 +83,21 @@ class PriorEvidence:
             curvature = Q * (2 * np.outer(q, q) - Q)
             bend = 2 * np.diag(gradient) + 4 * variances @ curvature @ variances.T
             gradient = gradient + 2 * (ratio @ logs) * ratio
-            return float(value), gradient, bend + 2 * np.outer(ratio, ratio)
+            bend = bend + 2 * np.outer(ratio, ratio)
+            return _with_narrowing(logs, (float(value), gradient, bend))
 
         return _minimum(cost, start)
+
+
+def _with_narrowing(logs: FloatArray, cost: _Cost) -> _Cost:
+    """Return a cost with that of factors below one added."""
+    value, gradient, bend = cost
+    below = np.minimum(logs, 0.0) / NARROWING_STD**2
+    return (
+        value + float(below @ logs),
+        gradient + 2 * below,
+        bend + np.diag(np.where(logs < 0, 2 / NARROWING_STD**2, 0.0)),
+    )
 
 
 def _minimum(cost: Callable[[FloatArray], _Cost], start: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from symbid_ros.estimation import posterior as production
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
 from symbid_ros.estimation.prior import default_prior
-from symbid_ros.estimation.prior_scales import RATIO_STD
+from symbid_ros.estimation.prior_scales import NARROWING_STD, RATIO_STD, PriorEvidence
 
 few = settings(max_examples=8, deadline=None)
 seeds = st.integers(0, 10**6)
@@ -182,6 +182,21 @@ def test_comparisons_have_half_of_the_digits(name, empirical, monkeypatch):
         assert whole.noise_share > 0.2
 
 
+def narrowing(logs):
+    """Half the squares of factors below one, in deviations of their logarithms."""
+    return np.sum((np.minimum(logs, 0.0) / NARROWING_STD) ** 2) / 2
+
+
+def test_one_direction_does_not_narrow_the_prior_of_all():
+    """The stated value happens to be right in the only direction that the data know."""
+    known = PriorEvidence(np.array([[1000.0, 0.0, 0.0]]), np.zeros(1))
+    assert 0.3 < known.common_scale() < 1.0
+    logs = known.two_scales(np.array([0.5, 0.5, 0.5]))
+    assert np.all((np.exp(logs) > 0.3) & (np.exp(logs) < 1.0))
+    # Many such directions are evidence.
+    assert PriorEvidence(1000.0 * np.eye(50), np.zeros(50)).common_scale() < 0.1
+
+
 @pytest.mark.parametrize("name", ["plain", "correlated prior", "weighed", "masked"])
 def test_the_evidence_is_that_of_all_rows_at_once(name, monkeypatch):
     monkeypatch.setattr(production, "WEAK_INFORMATION", 0)
@@ -191,7 +206,8 @@ def test_the_evidence_is_that_of_all_rows_at_once(name, monkeypatch):
         found = posterior(log.observations(), wrong, known)
 
         def cost(log_scale, wrong=wrong, covariance=found.covariance):
-            return -log_evidence(log, wrong, known, covariance, np.exp(log_scale))
+            likely = log_evidence(log, wrong, known, covariance, np.exp(log_scale))
+            return narrowing(log_scale) - likely
 
         grid = np.linspace(np.log(1e-2), np.log(1e2), 60)
         best = int(np.argmin([cost(point) for point in grid]))
@@ -231,7 +247,7 @@ def test_an_empirical_prior_is_as_wide_as_the_evidence_says(beyond):
     """The scale is that of the first parameters alone, and the remaining scale is 1."""
     log, prior, _ = case(4, count=200)
     count = len(prior.std) - beyond
-    wrong = prior.widened(np.where(np.arange(len(prior.std)) < count, 7.0, 1.0))
+    wrong = prior.widened(np.where(np.arange(len(prior.std)) < count, 1 / 7, 1.0))
     found = posterior(log.observations(), wrong, empirical=True, count=count)
     scale = found.prior.std / wrong.std
     np.testing.assert_allclose(scale[:count], scale[0])
@@ -242,7 +258,7 @@ def test_an_empirical_prior_is_as_wide_as_the_evidence_says(beyond):
     assert_posterior(again, found.mean, found.deviation_factor @ found.deviation_factor.T, 1e-5)
     assert again.prior_scale == pytest.approx(1, rel=1e-2)
     # Twenty or thirty parameters tell their own spread to about a fifth.
-    assert 0.5 < 7 * scale[0] < 1.8
+    assert 0.5 < scale[0] / 7 < 1.8
 
 
 @pytest.mark.parametrize("sizes", [(1.0, 4.0), (50.0, 1.0), (0.1, 0.1)])
@@ -265,7 +281,8 @@ def test_each_kind_of_error_gets_the_size_that_the_evidence_says(sizes):
 
     def cost(logs):
         ratio = (logs[0] - logs[1]) / RATIO_STD
-        return -log_evidence(log, sized(logs), None, found.covariance, 1.0) + ratio**2 / 2
+        likely = log_evidence(log, sized(logs), None, found.covariance, 1.0)
+        return narrowing(logs) + ratio**2 / 2 - likely
 
     best = minimize(cost, np.log(sizes), method="Nelder-Mead", options={"xatol": 1e-4})
     expected = sized(best.x)
