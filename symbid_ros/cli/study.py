@@ -1,7 +1,7 @@
 """``symbid study``."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,18 +46,19 @@ def study(
 
     content, _ = load_plan(plan)
     folder = StudyFolder(out.absolute() if dask else out)
-    folder.reserve(content, overwrite=overwrite)
     console = Console(stderr=True)
     stages = study_stages(content, folder)
     total = sum(task.cost for stage in stages for task in stage.tasks)
     with (
+        _worker_pool(
+            workers, dask, folder.work, lambda: folder.reserve(content, overwrite=overwrite)
+        ) as pool,
         Progress(
             *progress_columns(),
             console=console,
             disable=not shows_progress(console),
             speed_estimate_period=SPEED_PERIOD,
         ) as progress,
-        _worker_pool(workers, dask, folder.work) as pool,
     ):
         bar = progress.add_task("", total=total)
 
@@ -78,11 +79,17 @@ def study(
 
 
 @contextmanager
-def _worker_pool(workers: int, dask: str | None, folder: Path) -> Iterator[Executor]:
-    """Start processes that run tasks, or use the workers of a cluster, which must see a folder."""
+def _worker_pool(
+    workers: int, dask: str | None, folder: Path, reserve: Callable[[], None]
+) -> Iterator[Executor]:
+    """Start processes that run tasks, or use the workers of a cluster, which must see a folder.
+
+    ``reserve`` is called before, but not until the cluster answers.
+    """
     from symbid_ros.study.task_runner import worker_pool
 
     if dask is None:
+        reserve()
         with worker_pool(workers or min(8, os.cpu_count() or 1)) as pool:
             yield pool
         return
@@ -90,4 +97,5 @@ def _worker_pool(workers: int, dask: str | None, folder: Path) -> Iterator[Execu
 
     with connected(dask) as cluster:
         print_dashboard(cluster.dashboard)
+        reserve()
         yield cluster.executor_of(folder)

@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from threading import Thread
 from typing import Any
 
 from symbid_ros.errors import StudyError
+from symbid_ros.shutdown import deferred
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ def worker_pool(count: int) -> Iterator[Executor]:
     """Start ``count`` processes that run tasks; all of them end with the ``with`` block."""
     # A forked process could hang on locks held by threads, such as a progress bar's.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_initialize_worker)
+    pool = _WorkerPool(count, mp_context=context, initializer=_initialize_worker)
     try:
         yield pool
     except BaseException:
@@ -56,6 +57,20 @@ def worker_pool(count: int) -> Iterator[Executor]:
             process.terminate()
         raise
     pool.shutdown()
+
+
+class _WorkerPool(ProcessPoolExecutor):
+    """Starts processes that never receive Ctrl-C, which the parent handles."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
+        # A process starts when it is first needed, and inherits the mask: it would otherwise be
+        # interrupted while it imports libraries.
+        with deferred():
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                return super().submit(fn, *args, **kwargs)
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def run_tasks(pool: Executor, tasks: Sequence[Task], on_done: Callable[[Task], None]) -> None:
@@ -88,8 +103,7 @@ def run_tasks(pool: Executor, tasks: Sequence[Task], on_done: Callable[[Task], N
 
 
 def _initialize_worker() -> None:
-    """Ignore Ctrl-C, which the parent handles, limit BLAS to one thread, and follow the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Limit BLAS to one thread, and follow the parent."""
     Thread(target=_exit_with_parent, daemon=True).start()
     os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 

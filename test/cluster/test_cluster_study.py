@@ -6,6 +6,7 @@ import pytest
 from preloaded import run_symbid
 from small_study import run_inline
 
+from symbid_ros.cluster import connection
 from symbid_ros.study.page import publish
 from symbid_ros.study.plan import load_plan
 from symbid_ros.study.study_folder import StudyFolder
@@ -23,6 +24,13 @@ prior_seed: 8
 filters: [30.0]
 methods: [wls_rc]
 """
+
+
+def test_without_a_scheduler_nothing_is_written(symbid_here, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(connection, "CONNECTING_TIME", 0.2)
+    out = tmp_path / "out"
+    ended = symbid_here("study", "noise", "--out", out, "--dask", "tcp://127.0.0.1:1")
+    assert (ended.returncode, "SYMBID-E951" in ended.stderr, out.exists()) == (2, True, False)
 
 
 def test_a_study_on_a_cluster_gives_the_same_tables(cluster, tmp_path) -> None:

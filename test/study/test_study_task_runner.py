@@ -1,6 +1,7 @@
 """Tasks in processes: each runs once, interrupted studies resume, and errors reach the caller."""
 
 import multiprocessing
+import signal
 import subprocess
 import sys
 import time
@@ -51,6 +52,14 @@ def test_error_of_a_task_reaches_the_caller_and_results_stay(tmp_path):
     while running and (ended := connection.wait(running, 300)):
         running = [one for one in running if one not in ended]
     assert not running
+
+
+def test_a_worker_never_receives_ctrl_c(tmp_path):
+    """It would print a traceback if it still imported libraries, so it starts with the mask."""
+    with worker_pool(1) as pool:
+        run_tasks(pool, [task(tmp_path / "a", study_tasks.tell_blocked_signals)], lambda _: None)
+    assert int(signal.SIGINT) in map(int, (tmp_path / "a").read_text().split())
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 def test_killed_process_is_reported(tmp_path):

@@ -12,6 +12,10 @@ def write(place: Path, text: str) -> None:
     place.write_text(text, encoding="utf-8")
 
 
+def tell_blocked_signals(place: Path) -> None:
+    place.write_text(" ".join(map(str, map(int, signal.pthread_sigmask(signal.SIG_BLOCK, ())))))
+
+
 def refuse(place: Path) -> None:
     raise StudyError(f"{place}: refused; ask for something else", "E701")
 
