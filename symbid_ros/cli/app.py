@@ -1,10 +1,16 @@
 """The command ``symbid``: its subcommands, and errors as one line with exit status 2."""
 
 import inspect
+import io
 import logging
 import os
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from functools import partial
+from pathlib import Path
 from shutil import get_terminal_size
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import typer
 import typer.exceptions
@@ -38,6 +44,7 @@ app = typer.Typer(
 )
 NARROW = 72  # columns of a terminal, below which names of options do not fit in frames
 USAGE = 2  # status after an error that the user can correct
+CLOSED_PIPE = 141  # as in shells: 128 plus the number of SIGPIPE
 
 COMMANDS = (
     demo,
@@ -80,6 +87,9 @@ def _symbid(
     # on the robot's computer, and the last digits of results would depend on their number. The
     # variables take effect because NumPy and SciPy are imported later.
     os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
+    # No command renders. MuJoCo would otherwise load GLFW, which starts a process for it that
+    # prints a traceback after Ctrl-C.
+    os.environ.setdefault("MUJOCO_GL", "disable")
 
 
 def run() -> int:
@@ -95,9 +105,15 @@ def run() -> int:
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     try:
         # Without prog_name, click would use the name of the calling module.
-        return _command()(prog_name="symbid", standalone_mode=False) or 0
+        with redirect_stdout(_output()):
+            return _command()(prog_name="symbid", standalone_mode=False) or 0
     except SymbidError as error:
         message = spelled(error.labelled, flag)
+    except SystemExit as ended:
+        # So click and Rich end when the reader of a pipe has closed it; commands return their 1.
+        if ended.code != 1:
+            raise
+        return CLOSED_PIPE
     except OSError as error:
         # The operating system rejects a path, such as a name that is too long.
         if error.filename is None:
@@ -113,6 +129,35 @@ def run() -> int:
     return USAGE
 
 
+class _Output(io.FileIO):
+    """Standard output, whose failures are errors that a user can fix, such as a full disk."""
+
+    def write(self, data: Any) -> int:
+        """Write bytes."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:  # the libraries end the command
+            raise
+        except OSError as error:
+            # Python would try to write the rest at the end of the process.
+            with open(os.devnull, "wb") as null:
+                os.dup2(null.fileno(), self.fileno())
+            raise SymbidError(
+                f"standard output: cannot write ({error.strerror}); choose another place", "E552"
+            ) from None
+
+
+def _output() -> TextIO | None:
+    """Return the stream for standard output; None if that is closed."""
+    found = sys.__stdout__
+    if found is None or found is not sys.stdout:  # closed, or the stream of a caller
+        return sys.stdout
+    binary = io.BufferedWriter(_Output(found.fileno(), "wb", closefd=False))
+    return io.TextIOWrapper(
+        binary, found.encoding, found.errors, line_buffering=found.line_buffering
+    )
+
+
 class _Formatter(logging.Formatter):
     """Spells options in messages as flags."""
 
@@ -124,6 +169,7 @@ def _command() -> Any:
     """Return the click command that typer builds, with all subcommands."""
     command = typer.main.get_command(app)
     _hide_types_of_flags(command)
+    _refuse_empty_paths(command)
     _join_lines_of_help(command)
     if get_terminal_size().columns < NARROW:
         _print_plain_help(command)
@@ -145,6 +191,28 @@ def _join_lines_of_help(command: Any) -> None:
     command.help = "\n\n".join(" ".join(each.split()) for each in paragraphs)
     for subcommand in getattr(command, "commands", {}).values():
         _join_lines_of_help(subcommand)
+
+
+def _refuse_empty_paths(command: Any) -> None:
+    """Refuse empty paths, such as unset variables, which pathlib reads as the current folder."""
+    for parameter in command.params:
+        parameter.process_value = partial(_nonempty, parameter, parameter.process_value)
+    for subcommand in getattr(command, "commands", {}).values():
+        _refuse_empty_paths(subcommand)
+
+
+def _nonempty(parameter: Any, convert: Callable[..., Any], context: Any, value: Any) -> Any:
+    """Return what a parameter makes of its value; raise BadParameter for an empty path."""
+    converted = convert(context, value)
+    given = value if isinstance(value, (list, tuple)) else [value]
+    found = converted if isinstance(converted, (list, tuple)) else [converted]
+    if any(one == "" and isinstance(path, Path) for one, path in zip(given, found, strict=False)):
+        raise typer.BadParameter(
+            "empty path; name a file or folder, perhaps a variable is not set",
+            ctx=context,
+            param=parameter,
+        )
+    return converted
 
 
 def _hide_types_of_flags(command: Any, parent: Any = None) -> None:
