@@ -1,7 +1,8 @@
 """Topics of the simulated robot, and their recording into a bag."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from dataclasses import replace as with_fields
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -146,6 +147,7 @@ def record(
     out: Path,
     *,
     progress: Callable[[int, int], None] | None = None,
+    replace: bool = False,
 ) -> dict[str, int]:
     """Simulate the motion and write its sensor and ground-truth topics to a bag.
 
@@ -156,9 +158,11 @@ def record(
     simulator : SimulatedRobot
         A simulator that has not been stepped.
     out : Path
-        Folder of the bag, which must not exist; it appears when the bag is complete.
+        Folder of the bag; it appears when the bag is complete.
     progress : callable, optional
         Called with the number of written instants and the total number.
+    replace : bool
+        Whether the bag replaces an earlier one; otherwise ``out`` must not exist.
 
     Returns
     -------
@@ -166,7 +170,7 @@ def record(
         Number of messages by topic.
     """
     topics = [*sensor_topics(simulator), *truth_topics(simulator)]
-    with create_folder(out) as folder, BagWriter(folder) as bag:
+    with create_folder(out, replace=replace) as folder, BagWriter(folder) as bag:
         channels = [bag.add_topic(f"/{topic.name}", topic.layout.msgtype) for topic in topics]
         done = 0
         while done < simulator.steps:
@@ -177,7 +181,7 @@ def record(
                 for field in fields(Instant)
                 if field.name != "stamp"
             }
-            block = replace(instants[0], **arrays)
+            block = with_fields(instants[0], **arrays)
             payloads = []
             for topic in topics:
                 records = topic.layout.records(len(instants))

@@ -12,6 +12,7 @@ from symbid_ros.bags.metadata import FileMetadata, TopicMetadata, encode_metadat
 from symbid_ros.bags.writing.mcap_writer import McapWriter
 from symbid_ros.errors import BagError
 from symbid_ros.messages.definitions import find_definition
+from symbid_ros.shutdown import deferred
 
 ROSBAG2 = "rosbag2"  # name of rosbag2's metadata record
 
@@ -137,26 +138,32 @@ class Reserve:
 
 
 @contextmanager
-def create_folder(path: Path) -> Iterator[Path]:
+def create_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
     """Yield a temporary path at which to create a folder; at the end, move it to ``path``.
 
     An exception leaves nothing behind. A process killed by SIGKILL leaves a hidden folder
     ``.<name>.<random>`` beside ``path``, which does not prevent another attempt.
 
+    Parameters
+    ----------
+    path : Path
+    replace : bool
+        Whether the new folder replaces one at ``path``, which stays until the new one is complete.
+
     Raises
     ------
     BagError
-        When ``path`` exists, or its parent is not writable.
+        When ``path`` exists and is not to be replaced, or its parent is not writable.
     """
     hidden = None
     try:
-        if os.path.lexists(path):
+        if not replace and os.path.lexists(path):
             raise BagError(f"{path}: exists already; choose another name or remove it", "E218")
         path.parent.mkdir(parents=True, exist_ok=True)
         # Two levels: mkdtemp makes a private folder, and a bag's files are named after its folder.
         hidden = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name[:32]}."))
         yield hidden / path.name
-        (hidden / path.name).rename(path)
+        _move(hidden / path.name, path, hidden / f"{path.name}.replaced")
         sync_folder(path.parent)
     except OSError as error:
         raise BagError(
@@ -165,6 +172,20 @@ def create_folder(path: Path) -> Iterator[Path]:
     finally:
         if hidden is not None:
             shutil.rmtree(hidden, ignore_errors=True)
+
+
+def _move(new: Path, path: Path, aside: Path) -> None:
+    """Rename ``new`` to ``path``, after renaming what is there to ``aside``."""
+    with deferred():
+        is_replaced = os.path.lexists(path)
+        if is_replaced:
+            path.rename(aside)
+        try:
+            new.rename(path)
+        except OSError:
+            if is_replaced:
+                aside.rename(path)
+            raise
 
 
 def sync_folder(folder: Path) -> None:
