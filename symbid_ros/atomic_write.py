@@ -6,12 +6,12 @@ An atomic write uses a temporary name, then moves the file or folder into place.
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from symbid_ros.errors import SymbidError
+from symbid_ros.errors import OptionError, SymbidError
 
 
 def check_writable(folder: Path) -> None:
@@ -41,17 +41,74 @@ def check_writable(folder: Path) -> None:
                 place.rmdir()
 
 
-def check_output_file(path: Path) -> None:
-    """Check that a file can be written, without leaving it behind.
+def check_output_folder(folder: Path) -> None:
+    """Check that files can be written to a folder that is not a bag.
 
     Raises
     ------
     SymbidError
-        If it cannot be written.
+        If the folder cannot be written to, or holds the files of a bag.
     """
-    if path.is_dir():
+    check_writable(folder)
+    bag = ("metadata.yaml", "*.mcap", "*.db3")
+    found = next((file for name in bag for file in folder.glob(name)), None)
+    if found is not None:
+        raise SymbidError(
+            f"{folder}: is the folder of a bag, it holds {found.name}; choose another folder",
+            "E551",
+        )
+
+
+def check_output_file(
+    path: Path,
+    is_replaceable: Callable[[Path], bool],
+    remedy: str = "remove it; only earlier output of this command is replaced",
+) -> None:
+    """Check that a file can be written, without leaving it behind.
+
+    Parameters
+    ----------
+    path : Path
+    is_replaceable : callable
+        Returns whether a file that exists may be replaced, such as an earlier output of the same
+        format.
+    remedy : str
+        What the user can do about a file that exists, for the error message.
+
+    Raises
+    ------
+    SymbidError
+        If it cannot be written, or another file is in its place.
+    """
+    if os.path.isdir(path):
         raise SymbidError(f"{path}: is a folder; name a file in it", "E552")
+    if os.path.lexists(path) and not is_replaceable(path):
+        raise SymbidError(f"{path}: exists; choose another name, or {remedy}", "E551")
     check_writable(path.parent)
+
+
+def require_distinct(paths: Mapping[str, Path | None]) -> None:
+    """Check that the files of a command are different ones, also behind links.
+
+    Parameters
+    ----------
+    paths : mapping of str to Path or None
+        Outputs, and inputs that an output must not replace, by name; options in backquotes.
+
+    Raises
+    ------
+    OptionError
+        If two of them are one file.
+    """
+    names: dict[str, str] = {}
+    for name, path in paths.items():
+        if path is None:
+            continue
+        other = names.setdefault(os.path.realpath(path), name)
+        if other != name:
+            raise OptionError(
+                f"{path}: {other} and {name} are the same file; name different ones", "E502"
+            )
 
 
 def require_no_files(folder: Path, names: Collection[str], *, overwrite: bool) -> None:
@@ -71,10 +128,10 @@ def require_no_files(folder: Path, names: Collection[str], *, overwrite: bool) -
         )
 
 
-def clear_folder(
+def check_replaceable(
     folder: Path, is_replaceable: Callable[[Path], bool], kind: str, *, overwrite: bool
 ) -> None:
-    """Remove an earlier result.
+    """Check that a folder is new, or an earlier result that may be replaced.
 
     Parameters
     ----------
@@ -85,7 +142,7 @@ def clear_folder(
     kind : str
         Name of such a result, for error messages.
     overwrite : bool
-        Whether the user allows the removal.
+        Whether the user allows the replacement.
 
     Raises
     ------
@@ -100,7 +157,6 @@ def clear_folder(
         )
     if folder.is_symlink() or not folder.is_dir() or not is_replaceable(folder):
         raise SymbidError(f"{folder}: exists and is not {kind}; choose another --out", "E551")
-    shutil.rmtree(folder)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -7,9 +7,11 @@ Keys are snake_case and end with the unit of a number (``_s``, ``_hz``, ``_kg``)
 import json
 from collections.abc import Mapping
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from symbid_ros.package_paths import PACKAGE
+from symbid_ros.user_files import load_json
 
 # Documents and the version of their keys. A new version is one that earlier readers misunderstand.
 VERSIONS = {
@@ -36,6 +38,15 @@ def versioned(kind: str, document: Mapping[str, Any]) -> dict[str, Any]:
 def with_keys(document: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
     """Return a document in which some keys have other names, in the same order."""
     return {names.get(key, key): value for key, value in document.items()}
+
+
+def is_document(path: Path, kind: str) -> bool:
+    """Return whether a file is a document of a kind, such as ``"estimate"``, of any version."""
+    try:
+        content = load_json(path)
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and content.keys() >= {*schema(kind)["required"]}
 
 
 def schema(kind: str) -> dict[str, Any]:

@@ -65,6 +65,18 @@ def read_regular(path: Path, limit: int) -> bytes:
     return content
 
 
+def begins_with_mark(path: Path, mark: str) -> bool:
+    """Return whether a text is in the first KiB of a regular file.
+
+    This package marks the files that it writes, so that it replaces no others.
+    """
+    try:
+        with open_regular(path) as stream:
+            return mark.encode() in stream.read(1024)
+    except OSError:
+        return False
+
+
 def _require_regular(path: Path, status: os.stat_result) -> None:
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "a folder, not a file", str(path))

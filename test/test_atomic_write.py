@@ -8,8 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from symbid_ros.atomic_write import check_output_file, check_writable, staged
-from symbid_ros.errors import SymbidError
+from symbid_ros.atomic_write import (
+    check_output_file,
+    check_output_folder,
+    check_writable,
+    require_distinct,
+    staged,
+)
+from symbid_ros.errors import OptionError, SymbidError
 
 KILLED = """
 import os, signal, sys
@@ -91,9 +97,9 @@ def test_an_unwritable_path_is_named(tmp_path: Path) -> None:
 def test_a_check_leaves_no_files(tmp_path: Path) -> None:
     check_writable(tmp_path / "deep" / "down")
     check_writable(tmp_path)
-    check_output_file(tmp_path / "deep" / "page.html")
+    check_output_file(tmp_path / "deep" / "page.html", lambda _: False)
     (tmp_path / "page.html").write_text("old")
-    check_output_file(tmp_path / "page.html")
+    check_output_file(tmp_path / "page.html", lambda path: path.read_text() == "old")
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
     assert (tmp_path / "page.html").read_text() == "old"
 
@@ -101,8 +107,36 @@ def test_a_check_leaves_no_files(tmp_path: Path) -> None:
 def test_unwritable_paths_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(SymbidError, match="name a file in it"):
-        check_output_file(tmp_path)
+        check_output_file(tmp_path, lambda _: True)
     for folder in ("file", "file/below", "deep/" + 300 * "x"):
         with pytest.raises(SymbidError, match="cannot write"):
             check_writable(tmp_path / folder)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_files_that_may_not_be_replaced_are_rejected(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to("nowhere")
+    (tmp_path / "file").write_text("mine")
+    for name in ("file", "link"):
+        with pytest.raises(SymbidError, match=f"{name}: exists") as refused:
+            check_output_file(tmp_path / name, lambda _: False)
+        assert refused.value.code == "E551"
+
+
+def test_one_file_under_two_names_is_rejected(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to("folder")
+    one = tmp_path / "folder" / "file"
+    for other in (one, tmp_path / "link" / "file", tmp_path / "folder" / ".." / "link" / "file"):
+        with pytest.raises(OptionError, match="`a` and `b` are the same file"):
+            require_distinct({"`a`": one, "`none`": None, "`b`": other})
+    require_distinct({"`a`": one, "`b`": tmp_path / "file", "`c`": None, "`d`": None})
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", "log_0.mcap", "log_0.db3"])
+def test_the_folder_of_a_bag_is_no_output_folder(tmp_path: Path, name: str) -> None:
+    check_output_folder(tmp_path)
+    (tmp_path / name).write_text("")
+    with pytest.raises(SymbidError, match="is the folder of a bag") as refused:
+        check_output_folder(tmp_path)
+    assert refused.value.code == "E551"

@@ -12,7 +12,7 @@ from jsonschema import Draft202012Validator
 
 import symbid_ros
 from symbid_ros.diagnosis.findings import Kind
-from symbid_ros.json_documents import VERSIONS, schema, versioned, with_keys
+from symbid_ros.json_documents import VERSIONS, is_document, schema, versioned, with_keys
 
 FOLDER = Path(symbid_ros.__file__).parent / "schemas"
 
@@ -76,3 +76,14 @@ def test_renamed_keys_keep_their_order() -> None:
     document = {"bag": "log", "size": 3, "end": None}
     found = with_keys(document, {"size": "size_bytes", "start": "start_ns"})
     assert list(found.items()) == [("bag", "log"), ("size_bytes", 3), ("end", None)]
+
+
+def test_a_document_is_known_by_its_keys(tmp_path) -> None:
+    file = tmp_path / "file.json"
+    assert not is_document(file, "fleet")
+    for text in ("no JSON", "[]", "{}", '{"schema_version": 1}'):
+        file.write_text(text)
+        assert not is_document(file, "fleet")
+    file.write_text(json.dumps(dict.fromkeys(schema("fleet")["required"])))
+    assert is_document(file, "fleet")
+    assert not is_document(file, "evaluation")

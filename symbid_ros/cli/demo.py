@@ -1,6 +1,7 @@
 """``symbid demo``: simulate, record, identify and report on one machine."""
 
 import logging
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from symbid_ros.atomic_write import clear_folder
+from symbid_ros.atomic_write import check_replaceable, check_writable
 from symbid_ros.cli.learning_demo import SEED as LEARNING_SEED
 from symbid_ros.cli.learning_demo import demonstrate_learning
 from symbid_ros.cli.live import WebPort, start_page
@@ -119,12 +120,15 @@ def progress_bars(console: Console) -> Progress:
 
 def prepare_folder(out: Path, *, overwrite: bool) -> None:
     """Create an empty folder, replacing an earlier demo's with ``overwrite``."""
-    clear_folder(
+    check_writable(out)
+    check_replaceable(
         out,
         lambda folder: (folder / "prior.json").is_file(),
         "the folder of a demo",
         overwrite=overwrite,
     )
+    if out.exists():
+        shutil.rmtree(out)
     out.mkdir(parents=True)
 
 

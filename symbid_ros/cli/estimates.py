@@ -46,8 +46,10 @@ def prior(
     base: BaseKind = "auto",
 ) -> None:
     """Draw a random prior around the inertias of a model, to test an identification."""
+    from symbid_ros.atomic_write import check_output_file
     from symbid_ros.estimation.prior import Kind, draw_prior
     from symbid_ros.estimation.prior_file import write_prior
+    from symbid_ros.json_documents import is_document
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
 
@@ -60,6 +62,7 @@ def prior(
     if len(chosen) != 1:
         raise PriorError("give exactly one of --percent, --absolute and --consistent", "E555")
     kind, amount = chosen[0]
+    check_output_file(out, lambda path: is_document(path, "prior"))
     drawn = draw_prior(ParameterSet(load_model(model, base)), kind, amount, seed)
     write_prior(out, drawn)
     typer.echo(f"{out}: {len(drawn.names)} parameters of {drawn.model}, {drawn.kind}, seed {seed}")
@@ -123,8 +126,8 @@ def identify(
                 found = distributed.attributed(cluster, found)
     found = request.attributed(found, command_line(), () if robot is None else (robot,))
     kinematics = problem.options.export_kinematics
-    write_identification(found, problem.parameters, out, kinematics=kinematics)
-    print_estimate(found.estimate, out)
+    files = write_identification(found, problem.parameters, out, kinematics=kinematics)
+    print_estimate(found.estimate, out, files)
     verdict = found.estimate.verdict
     if verdict is not None and verdict.alarms:
         raise typer.Exit(1)
@@ -158,14 +161,14 @@ def evaluate(
     from symbid_ros.identification.realistic_prediction import evaluate_realistic
     from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.identification.rigid_sensors import RigidSensors
-    from symbid_ros.json_documents import versioned
+    from symbid_ros.json_documents import is_document, versioned
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
     from symbid_ros.signals.filters import CausalLowPass
 
     low_pass = CausalLowPass(velocity_cutoff)
     if json_file is not None:
-        check_output_file(json_file)
+        check_output_file(json_file, lambda path: is_document(path, "evaluation"))
     robot = load_model(model, base)
     estimated = load_estimated_model(estimate, robot)
     rigid = RigidSensors.of(estimated.parameters)
@@ -245,6 +248,7 @@ def report(
     from symbid_ros.report.compose import GroundTruth, compose, describe_estimate, describe_log
     from symbid_ros.report.page import write_report
     from symbid_ros.report.saved_results import labels, load_result, with_forces_of
+    from symbid_ros.report.templates import is_page
 
     if truth is not None and not bag:
         raise EstimateError("--truth needs a bag with ground truth to predict; add --bag", "E556")
@@ -252,7 +256,7 @@ def report(
         raise EstimateError("--realistic needs the true model to compare with; add --truth", "E556")
     folders = list(dict.fromkeys(folders))
     out = folders[-1] / "report.html" if out is None else out
-    check_output_file(out)
+    check_output_file(out, is_page)
     with progress_shown():
         loaded = None if model is None else load_model(model, base)
         found = [load_result(folder, loaded) for folder in folders]

@@ -38,7 +38,7 @@ def excite(
 
     Ctrl-C ends the search; the best trajectory so far is written.
     """
-    from symbid_ros.atomic_write import check_writable, require_no_files
+    from symbid_ros.atomic_write import check_output_folder, require_no_files
     from symbid_ros.cli.plan_tables import print_plan
     from symbid_ros.excitation.files import FILES, write_plan
     from symbid_ros.excitation.optimizer import Progress as State
@@ -47,7 +47,7 @@ def excite(
     from symbid_ros.model.load import load_model
 
     require_no_files(out, FILES, overwrite=overwrite)
-    check_writable(out)
+    check_output_folder(out)
     loaded = load_model(require_model(model), base)
     problem = excitation_problem(loaded, options, sensors, base_sensors)
     console = Console(stderr=True)

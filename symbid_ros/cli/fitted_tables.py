@@ -1,7 +1,8 @@
 """Tables that keep names and numbers whole on a narrow terminal, by continuing below."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
+from pathlib import Path
 
 from rich.box import SIMPLE_HEAD, Box
 from rich.console import Console
@@ -11,6 +12,11 @@ from rich.text import Text
 Row = tuple[str, Sequence[Text | str]] | None  # name and cells; None: a line between groups of rows
 UNLIMITED = 10_000  # columns of a terminal
 LEAST_NAME = 12  # characters of a name in one line of a cell
+
+
+def written_files(out: Path, names: Iterable[str]) -> Text:
+    """Return a line that names the files written to a folder."""
+    return Text(f"wrote {str(out).rstrip('/')}/: {', '.join(names)}")
 
 
 def print_table(

@@ -32,9 +32,10 @@ def fleet(
     from symbid_ros.atomic_write import check_output_file, write_text
     from symbid_ros.identification.fleet import fleet_document, fleet_of_results
     from symbid_ros.report.fleet_page import fleet_rows, render_fleet
+    from symbid_ros.report.templates import is_page
 
     if out is not None:
-        check_output_file(out)
+        check_output_file(out, is_page)
     with progress_shown():
         found = fleet_of_results(results)
     if out is not None:

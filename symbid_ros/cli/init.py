@@ -43,10 +43,10 @@ def init(
 
     Exit status: 0 the log is usable as the file says, 1 correct the file first, 2 error.
     """
-    from symbid_ros.atomic_write import check_output_file, write_text
+    from symbid_ros.atomic_write import check_output_file, require_distinct, write_text
     from symbid_ros.cli.foxglove import layout_text
     from symbid_ros.diagnosis.findings import Severity
-    from symbid_ros.errors import OptionError, SymbidError
+    from symbid_ros.errors import OptionError
     from symbid_ros.model.load import load_model
     from symbid_ros.model.urdf import expanded_name
     from symbid_ros.offline.robot_setup import expand_xacro, inspect_robot
@@ -60,19 +60,29 @@ def init(
     is_xacro = model.suffix == ".xacro"
     files = [file for file in (out, foxglove) if file is not None]
     urdf = files[0].parent / expanded_name(model) if is_xacro else model
-    for file in [*files, *([urdf] if is_xacro else [])]:
-        check_output_file(file)
-        if file.exists() and not overwrite:
-            raise SymbidError(f"{file}: exists; choose another `out`, or give `overwrite`", "E551")
+    paths = {"`model`": model, "`out`": out, "`foxglove`": foxglove}
+    if is_xacro:
+        files.append(urdf)
+        paths["the URDF of `model`"] = urdf
+    require_distinct(paths)
+    for file in files:
+        check_output_file(file, lambda _: overwrite, "give `overwrite`")
+    is_new = is_xacro and not urdf.exists()
     if is_xacro:
         expand_xacro(model, urdf)
     console = Console(soft_wrap=True)
-    if foxglove is not None:
-        write_text(foxglove, layout_text(load_model(urdf, base)))
+    try:
+        setup = None if bag is None else inspect_robot(urdf, bag, base)
+        layout = None if foxglove is None else layout_text(load_model(urdf, base))
+    except BaseException:
+        if is_new:  # it would be in the way of the next attempt
+            urdf.unlink(missing_ok=True)
+        raise
+    if foxglove is not None and layout is not None:
+        write_text(foxglove, layout)
         console.print(f"written: {foxglove}", markup=False, highlight=False)
-    if bag is None or out is None:
+    if setup is None or out is None:
         return
-    setup = inspect_robot(urdf, bag, base)
     setup.write(out)
     for name, values in setup.options.items():
         console.print(f"{name}: {', '.join(values)}", markup=False, highlight=False)

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from symbid_ros.errors import EstimateError, SymbidError
+from symbid_ros.errors import EstimateError
 
 if TYPE_CHECKING:
     from symbid_ros.identification.link_changes import Change, RobotChange
@@ -67,7 +67,7 @@ def apply(
     The earlier file is kept as FILE.orig. Links and joints must be those of the result. The written
     file is read again and compared.
     """
-    from symbid_ros.atomic_write import check_output_file, write_text
+    from symbid_ros.atomic_write import check_output_file, require_distinct, write_text
     from symbid_ros.estimation.estimate_file import load_estimate
     from symbid_ros.identification.installation import inertials_yaml, install
 
@@ -83,10 +83,9 @@ def apply(
             "and read it with xacro.load_yaml",
             "E577",
         )
+    require_distinct({"the robot's file": robot, "`out`": out, "`xacro_yaml`": xacro_yaml})
     for path in filter(None, (out, xacro_yaml)):
-        check_output_file(path)
-        if path.exists() and not overwrite:
-            raise SymbidError(f"{path}: exists; choose another name, or give --overwrite", "E551")
+        check_output_file(path, lambda _: overwrite, "give `overwrite`")
     console = Console(soft_wrap=True, highlight=False)
     verdict = load_estimate(result / "estimate.json").verdict
     for alarm in () if verdict is None else verdict.alarms:

@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from symbid_ros.cli.fitted_tables import print_table
+from symbid_ros.cli.fitted_tables import print_table, written_files
 from symbid_ros.cli.flags import flag
 from symbid_ros.excitation.files import FILES
 from symbid_ros.excitation.page import closest_links, contacts_used
@@ -35,10 +35,10 @@ def print_plan(plan: ExcitationPlan, out: Path) -> None:
         *(f"assumed: {each}" for each in plan.problem.limits.assumed),
         *filter(None, [contacts_used(plan), closest_links(plan)]),
         *(f"not checked: {spelled(each, flag)}" for each in plan.problem.unchecked),
-        f"wrote {out}/: {', '.join(name for name in FILES if (out / name).exists())}",
     ]
-    for line in lines:
-        console.print(Text(line), soft_wrap=True)
+    files = [name for name in FILES if (out / name).exists()]
+    for line in [*map(Text, lines), written_files(out, files)]:
+        console.print(line, soft_wrap=True)
 
 
 def print_usage(console: Console, plan: ExcitationPlan) -> None:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from symbid_ros.simulation.standing_robot import StandingSimulator
     from symbid_ros.simulation.tracking import TrackingSimulator
 
+# First line of the file of --true-model.
+TRUE_MODEL = "<!-- The robot of symbid simulate, without payload. -->"
+
 
 @with_flags
 def simulate(
@@ -75,9 +78,15 @@ def simulate(
     [b]quantisation[/b] 16 to 18 bits, [b]drift[/b] slow random walks of plate offsets (0.5 N
     and 0.05 Nm in a minute) and IMU biases (0.0002 rad/s and 0.002 m/s²).
     """
-    from symbid_ros.atomic_write import clear_folder, write_text
+    from symbid_ros.atomic_write import (
+        check_output_file,
+        check_replaceable,
+        require_distinct,
+        write_text,
+    )
     from symbid_ros.model.load import load_model
     from symbid_ros.simulation.recording import record
+    from symbid_ros.user_files import begins_with_mark
 
     simulator: Simulator | TrackingSimulator | StandingSimulator
     if trajectory is None:
@@ -93,16 +102,22 @@ def simulate(
             (sensors, base_sensors),
         )
         true_model = true_model or out.with_name(f"{out.name}_truth.xml")
-    clear_folder(out, _is_simulated_bag, "a bag", overwrite=overwrite)
+    check_replaceable(out, _is_simulated_bag, "a bag", overwrite=overwrite)
+    if true_model is not None:
+        require_distinct({"`out`": out, "`true_model`": true_model})
+        check_output_file(true_model, lambda path: begins_with_mark(path, TRUE_MODEL))
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not shows_progress(console)) as progress:
         what = options.scenario if trajectory is None else trajectory
         task = progress.add_task(f"simulating {what}", total=simulator.steps)
         counts = record(
-            simulator, out, progress=lambda done, _: progress.update(task, completed=done)
+            simulator,
+            out,
+            progress=lambda done, _: progress.update(task, completed=done),
+            replace=overwrite,
         )
     if true_model is not None:
-        write_text(true_model, simulator.robot)
+        write_text(true_model, f"{TRUE_MODEL}\n{simulator.robot}")
     seconds = simulator.steps * simulator.period_ns * 1e-9
     typer.echo(f"{out}: {seconds:.1f} s, {sum(counts.values())} messages on {len(counts)} topics")
     if trajectory is not None:

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from symbid_ros.bags import BagInfo, FileInfo, LostRange, RecoveryReport
-from symbid_ros.cli.fitted_tables import Row, print_table
+from symbid_ros.cli.fitted_tables import Row, print_table, written_files
 from symbid_ros.cli.flags import flag
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
@@ -189,14 +189,14 @@ def _verdict(findings: tuple[Finding, ...]) -> Text:
     return Text(", ".join(dict.fromkeys(one.kind.value for one in findings)), style=STYLES[worst])
 
 
-def print_estimate(estimate: Estimate, out: Path) -> None:
-    """Print alarms, the table of links, the verdict and the folder ``out`` of the files."""
+def print_estimate(estimate: Estimate, out: Path, files: Sequence[str]) -> None:
+    """Print alarms, the table of links, the verdict, and the files written to ``out``."""
     console = Console(highlight=False)
     # Rich does not wrap these lines, so that a pipe receives them complete.
     for alarm in estimate.verdict.alarms if estimate.verdict is not None else ():
         console.print(Text(f"alarm: {alarm}", style="bold red"), soft_wrap=True)
     print_links(console, estimate)
-    for line in _lines(estimate, out):
+    for line in [*_lines(estimate), written_files(out, files)]:
         console.print(line, soft_wrap=True)
 
 
@@ -227,7 +227,7 @@ def print_links(console: Console, estimate: Estimate) -> None:
     print_table(console, "link", groups, rows, title=title, style=box.HEAVY_HEAD)
 
 
-def _lines(estimate: Estimate, out: Path) -> list[RenderableType]:
+def _lines(estimate: Estimate) -> list[RenderableType]:
     verdict = estimate.verdict
     windows = ""
     if verdict is not None and verdict.window > 0:
@@ -249,8 +249,7 @@ def _lines(estimate: Estimate, out: Path) -> list[RenderableType]:
         lines.insert(1, Text(f"held out: {found.summary}"))
         if files := describe_files(found.file_percents, found.percent_after):
             lines.insert(2, Text(files))
-    files = "estimate.json, information.npz, model.urdf, model.xml"
-    return [*lines, Text(f"wrote {out}/: {files}")]
+    return lines
 
 
 def _verdict_lines(estimate: Estimate, verdict: Verdict) -> list[RenderableType]:

@@ -50,6 +50,7 @@ def validate(
 
     Exit status: 0 better than the original model, 1 not better, 2 error.
     """
+    from symbid_ros.atomic_write import check_writable
     from symbid_ros.cli.tables import print_validation
     from symbid_ros.identification.validation import validate as judge
     from symbid_ros.offline.bags import load_bag
@@ -59,6 +60,8 @@ def validate(
         raise SymbidError(
             f"{predictions}: exists; choose another --predictions, or remove it", "E551"
         )
+    if predictions is not None:
+        check_writable(predictions)
     with progress_shown():
         held_out = load_bag(bag, options=as_identified(log, [result]))
         found = judge(result, held_out, payload=payload or ())

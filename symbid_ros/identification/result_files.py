@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.atomic_write import check_writable, staged, write_text
+from symbid_ros.atomic_write import check_output_folder, staged, write_text
 from symbid_ros.choices import JOINT_TERMS
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import (
@@ -45,17 +45,18 @@ def check_output(parameters: ParameterSet, out: Path) -> None:
     Raises
     ------
     SymbidError
-        When the folder is not writable or the robot cannot be expressed in one of the formats.
+        When the folder is not writable or is a bag, or the robot cannot be expressed in one of the
+        formats.
     """
-    check_writable(out)
+    check_output_folder(out)
     _urdf(parameters, parameters.values)
     _mjcf(parameters, parameters.values, out)
 
 
 def write_identification(
     found: Identification, parameters: ParameterSet, out: Path, *, kinematics: bool = False
-) -> None:
-    """Write the files of a result (``RESULT_FILES``) into a folder, together.
+) -> tuple[str, ...]:
+    """Write the files of a result (``RESULT_FILES``) into a folder, together; return their names.
 
     The user's model file keeps everything but the inertial parameters, together with the files that
     it includes. The other format holds the kinematic tree only. Parameters that a format cannot
@@ -105,7 +106,7 @@ def write_identification(
     if not failures:
         if found.report is None:  # that of an earlier result does not belong to this one
             (out / REPORT_DATA).unlink(missing_ok=True)
-        return
+        return tuple(sorted(outputs))
     first = next(iter(failures.values()))
     saved = [name for name in outputs if name not in failures]
     done = f"{', '.join(saved)} written to {out}" if saved else ""

@@ -9,8 +9,10 @@ from markupsafe import Markup, escape
 
 from symbid_ros.options import spelled
 from symbid_ros.report.formatting import significant, with_std
+from symbid_ros.user_files import begins_with_mark
 
 PACKAGE = "symbid_ros.report"
+GENERATOR = '<meta name="generator" content="symbid_ros">'  # in page_base.html
 
 _UNIT = re.compile(
     r"(?<=[\d±]) (?=(?:%|±|mm|kg|Nms|Nm|Ns|N|Hz|ms|s|rad/s²|bit|times)(?!\w))|(?<=±) "
@@ -46,6 +48,11 @@ def page_template(
         **(filters or {}),
     }
     return environment.get_template(name)
+
+
+def is_page(path: Path) -> bool:
+    """Return whether a file is a page of this package."""
+    return begins_with_mark(path, GENERATOR)
 
 
 def unbroken_units(text: str) -> str:

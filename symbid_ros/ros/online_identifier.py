@@ -102,7 +102,7 @@ class OnlineIdentifier:
             check_output(self._parameters, self._out)
         self._live_model = given_path(values["live_model"])
         if self._live_model is not None:
-            check_output_file(self._live_model)
+            check_output_file(self._live_model, lambda _: True)
             if self._live_model.exists():
                 read_model(self._live_model)  # no other file may be replaced
             self._remove_live_model()

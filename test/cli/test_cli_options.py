@@ -1,6 +1,7 @@
 """Meaning of options, and protection of earlier results."""
 
 import itertools
+import os
 import re
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import typer.main
 
 from symbid_ros.cli.app import app
 from symbid_ros.package_paths import config_file
+from symbid_ros.report.templates import is_page, page_template
 
 
 def commands(command, name="symbid"):
@@ -52,8 +54,156 @@ def test_a_simulated_bag_is_replaced_only_with_overwrite(symbid_here, tmp_path):
     # Options are checked before anything is removed.
     assert symbid_here(*options, "--overwrite", "--errors", "none such").returncode == 2
     assert [file.read_bytes() for file in bag.iterdir()] == [b"of yesterday"]
+    # A simulation that fails leaves the earlier bag as well.
+    fallen = ("simulate", "--moves", 1, "--payload-mass", 100, "--out", bag, "--overwrite")
+    assert "SYMBID-E613" in symbid_here(*fallen).stderr
+    assert [file.read_bytes() for file in bag.iterdir()] == [b"of yesterday"]
     assert symbid_here(*options, "--overwrite").returncode == 0
     assert symbid_here("bag", "info", bag).returncode == 0
+    assert list(tmp_path.iterdir()) == [bag]
+
+
+URDF = config_file("symbitron.urdf")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("prior", "--model", URDF, "--percent", 5, "--out"),
+        ("report", "result", "--out"),
+        ("fleet", "a", "b", "c", "--out"),
+        ("evaluate", "result", "--model", URDF, "--bag", "bag", "--json"),
+        ("simulate", "--moves", 1, "--out", "bag", "--true-model"),
+        ("init", "--model", URDF, "--foxglove"),
+        ("apply", "result", "--xacro-yaml"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_file_of_something_else_stays_and_no_work_is_done(
+    symbid_here, words, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot.urdf").write_text("years of work")
+    ended = symbid_here(*words, "robot.urdf")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert "robot.urdf: exists; choose another name, or" in ended.stderr
+    assert "SYMBID-E551" in ended.stderr
+    assert (tmp_path / "robot.urdf").read_text() == "years of work"
+    (tmp_path / "folder").mkdir()
+    assert "is a folder; name a file in it" in symbid_here(*words, "folder").stderr
+    assert {path.name for path in tmp_path.iterdir()} == {"robot.urdf", "folder"}
+
+
+def test_a_command_that_is_repeated_replaces_its_output(symbid_here, tmp_path):
+    prior = ("prior", "--model", URDF, "--percent", 5, "--out", tmp_path / "prior.json")
+    simulate = ("simulate", "--scenario", "tare", "--ideal", "--overwrite")
+    simulate += ("--out", tmp_path / "bag", "--true-model", tmp_path / "truth.xml")
+    for words in (prior, simulate) * 2:
+        ended = symbid_here(*words)
+        assert ended.returncode == 0, ended.stderr
+    page = tmp_path / "report.html"
+    page.write_text(page_template("page_base.html").render(title="Robot", css=""))
+    assert is_page(page)
+    page.write_text("<html></html>")
+    assert not is_page(page)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("init", "--model", URDF, "--bag", "bag", "--out", "new", "--foxglove", "./new"),
+        ("init", "--model", "new", "--bag", "bag", "--out", "new", "--overwrite"),
+        ("apply", "result", "robot", "--out", "new", "--xacro-yaml", "./new"),
+        ("apply", "result", "new", "--out", "./new", "--overwrite"),
+        ("simulate", "--out", "new", "--true-model", "./new"),
+    ],
+    ids=lambda words: " ".join(map(str, words[-3:])),
+)
+def test_one_file_for_two_outputs_is_refused(symbid_here, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ended = symbid_here(*words)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert "are the same file; name different ones (SYMBID-E502)" in ended.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("bag", "info", ""),
+        ("bag", "recover", ""),
+        ("bag", "doctor", "bag", ""),
+        ("prior", "--model", URDF, "--percent", "5", "--out", ""),
+        ("identify", "bag", "--model", URDF, "--out="),
+        ("identify", "bag", "--model", URDF, "--out", "out", "--information", ""),
+        ("evaluate", "result", "--model", URDF, "--bag", "bag", "--bag", ""),
+        ("live", ""),
+    ],
+    ids=lambda words: " ".join(map(str, words[:2])),
+)
+def test_an_empty_path_is_refused(symbid_here, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ended = symbid_here(*words)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert "empty path; name a file or folder" in ended.stderr
+    assert ended.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made_has_a_code(symbid_here, tmp_path):
+    (tmp_path / "file").write_text("")
+    ended = symbid_here("demo", "--out", tmp_path / "file" / "demo")
+    assert (ended.returncode, "(SYMBID-E552)" in ended.stderr) == (2, True)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+@pytest.mark.parametrize("words", [("--version",), ("prior", "--help")], ids=" ".join)
+def test_a_full_disk_behind_the_output_is_one_line(words):
+    with open("/dev/full", "w") as full:
+        ended = run_process(*words, stdout=full)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("symbid: standard output: cannot write (")
+    assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [("--version",), ("prior", "--help")], ids=" ".join)
+def test_a_closed_pipe_ends_a_command_silently(words):
+    reading, writing = os.pipe()
+    os.close(reading)
+    with open(writing, "w") as pipe:
+        ended = run_process(*words, stdout=pipe)
+    assert (ended.returncode, ended.stderr) == (141, "")
+
+
+def run_process(*words, stdout):
+    return subprocess.run(
+        [sys.executable, "-m", "symbid_ros.cli.main", *words],
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+
+
+def test_loading_the_simulator_starts_no_process(tmp_path):
+    """A child would print a traceback after Ctrl-C."""
+    program = """
+import sys
+from symbid_ros.cli.main import main
+sys.addaudithook(lambda event, _: event == "subprocess.Popen" and sys.stderr.write("a process\\n"))
+main()
+"""
+    ended = subprocess.run(
+        [
+            *(sys.executable, "-c", program, "simulate"),
+            *("--moves", "1", "--payload-mass", "100", "--out", tmp_path / "bag"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "SYMBID-E613" in ended.stderr
+    assert "a process" not in ended.stderr
 
 
 @pytest.mark.parametrize(

@@ -248,6 +248,9 @@ def test_xacro_is_expanded_beside_the_file(symbid_here, log, tmp_path) -> None:
     np.testing.assert_allclose(
         load_model(found["model"]).phi, load_model(config_file("symbitron.urdf")).phi
     )
+    other = tmp_path / "other"
+    failed = symbid_here(*call[:-1], tmp_path / "no bag", "--out", other / "robot.yaml")
+    assert (failed.returncode, other.exists() and [*other.iterdir()]) == (2, [])
     (tmp_path / "exo.urdf.xacro").write_text('<robot xmlns:xacro="x"><xacro:nothing/></robot>')
     ended = symbid_here(*call, "--out", tmp_path / "robot.yaml", "--overwrite")
     assert (ended.returncode, "xacro: " in ended.stderr) == (2, True)

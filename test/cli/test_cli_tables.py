@@ -24,7 +24,7 @@ def printed(capsys, monkeypatch):
         verdict = fields.pop("verdict", VERDICT)
         links = ("base_link", "shin [left]")
         shown = replace(estimate(links, (), "map_lmi"), **{"rank": None, "verdict": verdict})
-        print_estimate(replace(shown, **fields), Path("out"))
+        print_estimate(replace(shown, **fields), Path("out"), ("estimate.json", "model.xml"))
         return capsys.readouterr().out.splitlines()
 
     return run
@@ -53,7 +53,7 @@ def test_the_last_lines_show_rows_directions_alarms_and_files(printed):
         "4321 rows of each coordinate, averaged over windows of 161 ms, condition 1e+03",
         "2 of 20 directions determined, 62 bits gained",
         "no alarm",
-        "wrote out/: estimate.json, information.npz, model.urdf, model.xml",
+        "wrote out/: estimate.json, model.xml",
     ]
 
 
@@ -71,7 +71,7 @@ def test_sensor_errors_are_counted(printed):
 def test_a_truncated_method_shows_its_rank_and_no_verdict(printed):
     assert printed(verdict=None, rank=7)[-2:] == [
         "4321 rows of each coordinate, 7 singular values, condition 1e+03",
-        "wrote out/: estimate.json, information.npz, model.urdf, model.xml",
+        "wrote out/: estimate.json, model.xml",
     ]
 
 
