@@ -1,10 +1,9 @@
 """Diagnoses a log slice by slice."""
 
-from contextlib import suppress
 from dataclasses import dataclass, field
 
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, merged
-from symbid_ros.diagnosis.model_checks import ModelChecks, check_model
+from symbid_ros.diagnosis.model_checks import TOO_SHORT, ModelChecks, check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, fatal_finding, unusable
 from symbid_ros.errors import DataError
@@ -14,7 +13,7 @@ from symbid_ros.signals.defects import Defect, DefectError
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import cut_to
 from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
-from symbid_ros.signals.weak_form import BLOCK
+from symbid_ros.signals.weak_form import ALL_WINDOWS, BLOCK, check_windows, holds_window
 
 SPAN = 15 * BLOCK  # ns of a log that are held in memory at once
 
@@ -33,7 +32,7 @@ def diagnose(log: Log, model: RobotModel | None = None) -> Diagnosis:
     BagError
         When no bag is given, or the bag lacks the topics.
     """
-    diagnoser = _LogDiagnoser(model and log.applied_to(model))
+    diagnoser = _LogDiagnoser(log.source, model and log.applied_to(model))
     try:
         for piece in log.slices(SPAN, warn=False):
             diagnoser.take(piece)
@@ -41,18 +40,39 @@ def diagnose(log: Log, model: RobotModel | None = None) -> Diagnosis:
         diagnoser.fatal.append(fatal_finding(error))
     except DataError as error:
         diagnoser.fatal.append(Finding(Kind.UNREADABLE, "", Severity.UNUSABLE, str(error)))
-    return diagnoser.diagnosis(log.source)
+    return diagnoser.diagnosis()
 
 
 @dataclass
 class _LogDiagnoser:
-    """Accumulates the checks of a log."""
+    """Accumulates the checks of a log.
 
+    Attributes
+    ----------
+    source : str
+        Name of the log, for messages.
+    model : RobotModel or None
+    streams : StreamChecks
+    fatal : list of Finding
+        What stopped the reading.
+    statistics : ModelStatistics or None
+        Of the segments; None before the first.
+    first : Streams or None
+        The first slice.
+    fault : str
+        Why the first slice without a segment has none.
+    holds_window : bool
+        Whether some segment is long enough for an identification.
+    """
+
+    source: str
     model: RobotModel | None
     streams: StreamChecks = field(init=False)
     fatal: list[Finding] = field(default_factory=list)
     statistics: ModelStatistics | None = None
     first: Streams | None = None
+    fault: str = ""
+    holds_window: bool = False
 
     def __post_init__(self) -> None:
         self.streams = StreamChecks(self.model)
@@ -69,19 +89,27 @@ class _LogDiagnoser:
         if unusable(self.streams.named):
             return
         _check_frames(self.first, streams)
-        # Slices that are too short or have no common time appear in the streams' figures.
-        with suppress(DataError), warn_once(muted=True):
-            for segment in cut_to(align_checked(streams, model), piece.start, piece.stop):
+        try:
+            with warn_once(muted=True):
+                segments = align_checked(streams, model)
+            for segment in cut_to(segments, piece.start, piece.stop):
+                check_windows(ALL_WINDOWS, segment.rate, self.source)
                 if self.statistics is None:
                     frames = segment.wrench_frames, segment.imu_frames
                     self.statistics = ModelStatistics(model, *frames)
                 self.statistics.add(segment)
+                self.holds_window = self.holds_window or holds_window(segment, ALL_WINDOWS)
+        except DataError as error:
+            self.fault = self.fault or str(error)
 
-    def diagnosis(self, source: str) -> Diagnosis:
+    def diagnosis(self) -> Diagnosis:
         checks = self._checks(self.streams.unit_findings())
-        of_streams = [*self.fatal, *self.streams.findings(source)]
+        of_streams = [*self.fatal, *self.streams.findings(self.source)]
+        if not self.fatal and not self.streams.timings:
+            text = f"{self.source}: no data in the requested part; give an earlier `start`"
+            of_streams.append(Finding(Kind.SILENT, "", Severity.UNUSABLE, text))
         return Diagnosis(
-            source=source,
+            source=self.source,
             streams=tuple(timing.figures for timing in self.streams.timings.values()),
             findings=tuple(merged(of_streams, checks.findings)),
             figures=checks.figures,
@@ -103,16 +131,25 @@ class _LogDiagnoser:
             return ModelChecks(left_out=[f"all checks against the model: they depend on {kinds}"])
         if self.statistics is None:
             return ModelChecks(
-                left_out=[
-                    "all checks against the model: every part of the log without a gap is too short"
-                ]
+                [self._shortage()], left_out=[f"all checks against the model: {TOO_SHORT}"]
             )
-        return check_model(
+        checks = check_model(
             self.statistics,
             self.first.joints.topic,
             [one.topic for one in self.first.imus],
             self.streams.wrench_topics,
         )
+        if self.statistics.rows.samples < 1:
+            checks.findings.append(self._shortage())
+        return checks
+
+    def _shortage(self) -> Finding:
+        """Return the finding of a log without a part that is long enough for the checks."""
+        if self.holds_window:
+            text = f"{self.source}: {TOO_SHORT} to check forces; record longer"
+            return Finding(Kind.SHORT, "", Severity.WARNING, text)
+        text = self.fault or f"{self.source}: {TOO_SHORT} to identify anything; record longer"
+        return Finding(Kind.SHORT, "", Severity.UNUSABLE, text)
 
 
 def _check_frames(first: Streams, later: Streams) -> None:

@@ -30,6 +30,7 @@ class Kind(Enum):
     DISORDER = "disorder"
     CLOCK_JUMP = "clock_jump"
     SILENT = "silent"
+    SHORT = "short"
     NOT_FINITE = "not_finite"
     FROZEN = "frozen"
     SATURATED = "saturated"

@@ -89,6 +89,7 @@ def excitation(statistics: ModelStatistics, left: FloatArray) -> Excitation:
 # Delays that differ by less than this share of their mean count as equal.
 ALIKE = 0.5
 OF_FORCES = "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation"
+TOO_SHORT = "every part of the log without a gap is too short"
 DEPEND_ON_IMU = "they depend on the IMU, whose mounting or unit is wrong"
 
 
@@ -173,7 +174,7 @@ def _reason_to_stop(checks: ModelChecks, statistics: ModelStatistics) -> str:
     ):
         return DEPEND_ON_IMU
     if statistics.rows.samples < 1:
-        return "every part of the log without a gap is too short"
+        return TOO_SHORT
     return ""
 
 

@@ -230,6 +230,19 @@ def check_windows(windows: Sequence[float], rate: float, source: str) -> None:
     )
 
 
+def holds_window(segment: Segment, windows: Sequence[float]) -> bool:
+    """Return whether a segment is long enough for a row averaged over one of the windows, s."""
+    _, edge = prefilter(segment.rate)
+    return any(
+        len(centres)
+        for block in cut_into_blocks(segment)
+        for centres in window_centres(
+            int(block.stamp[-1 - edge] - block.stamp[edge]),
+            suitable_windows(windows, segment.rate),
+        )
+    )
+
+
 def block_length(rate: float) -> int:
     """Return the length of blocks, ns, at a rate, Hz."""
     for length in BLOCKS:

@@ -55,6 +55,28 @@ def test_exit_status_separates_unusable_from_doubtful_logs(symbid_here, tare, tm
     assert symbid_here("bag", "doctor", bag).returncode == 0
 
 
+@pytest.mark.parametrize(
+    ("part", "kind", "status"),
+    [
+        (("--start", 1000), "silent", 2),
+        (("--stop", 0.005), "short", 2),
+        (("--stop", 0.05), "short", 2),
+        (("--stop", 0.3), "short", 1),
+    ],
+)
+def test_a_part_without_enough_data_is_not_clean(
+    symbid_here, tare, tmp_path, part: tuple[str, float], kind: str, status: int
+) -> None:
+    """Unusable where an identification refuses the same part."""
+    result = symbid_here("bag", "doctor", tare, "--model", MODEL, "--json", *part)
+    assert result.returncode == status
+    (found,) = json.loads(result.stdout)["findings"]
+    assert found["kind"] == kind
+    options = "--model", MODEL, "--out", tmp_path / "out", "--method", "ols", *part
+    identified = symbid_here("identify", tare, *options)
+    assert (identified.returncode == 2) is (status == 2)
+
+
 def test_the_table_fits_a_narrow_terminal(symbid_here, tare) -> None:
     text = symbid_here("bag", "doctor", tare, columns=60).stdout
     table = [line for line in text.splitlines() if line.startswith(("│", "┃"))]
