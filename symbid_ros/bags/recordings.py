@@ -4,10 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from symbid_ros.bags.container.files import join_names
 from symbid_ros.bags.container.schema_registry import DECODED_TYPES
 from symbid_ros.bags.info import BagInfo, bag_info
-from symbid_ros.errors import BagError
 
 # A recorder that splits its bags begins the next one within a fraction of a second, ns.
 LONGEST_BREAK = 1_000_000_000
@@ -43,10 +41,8 @@ def separate_recordings(bags: Sequence[Path]) -> list[tuple[Path, ...]]:
     Raises
     ------
     BagError
-        When a bag is missing or named twice.
+        When a bag is missing.
     """
-    if len({bag.resolve() for bag in bags}) < len(bags):
-        raise BagError(f"{join_names(bags)}: a bag is named twice; name each bag once", "E202")
     if len(bags) < 2:
         return [tuple(bags)]
     found = sorted(map(bag_info, bags), key=lambda one: one.start or 0)

@@ -1,13 +1,14 @@
 """Several bags are recordings of their own, or parts of one, in any order."""
 
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
 from expected_errors import raises_code
 from foreign_bags import IMU, JOINT_STATE, imu, joint_state, write_rosbags
 
-from symbid_ros.bags import bag_log
+from symbid_ros.bags import bag_log, count_messages
 from symbid_ros.bags.recordings import separate_recordings
 from symbid_ros.bags.slices import iterate_slices
 from symbid_ros.diagnosis.doctor import diagnose
@@ -63,11 +64,22 @@ def test_recordings_of_equal_clocks_may_differ_in_topics_of_no_sensor(write) -> 
     assert separate_recordings([first, other]) == [(first,), (other,)]
 
 
-def test_a_bag_that_is_named_twice_is_refused(write, tmp_path: Path) -> None:
-    bag = write("a", 0.0)
+def test_a_log_that_is_given_twice_is_refused(write, tmp_path: Path) -> None:
+    bag, other = write("a", 0.0), write("b", 0.0, "joints")
     (tmp_path / "link").symlink_to(bag)
-    with raises_code("E202", "twice"):
-        separate_recordings([bag, tmp_path / "link"])
+    (file,) = bag.glob("*.mcap")
+    renamed = tmp_path / "renamed.mcap"
+    renamed.write_bytes(file.read_bytes())
+    for twice, reason in [
+        (bag, "named twice"),
+        (tmp_path / "link", "named twice"),
+        (file, "both hold"),
+        (renamed, "renamed.mcap: a copy of"),
+        (copytree(bag, tmp_path / "copy"), "leave .*copy out"),
+    ]:
+        with raises_code("E202", reason):
+            count_messages([bag, other, twice])
+    assert sum(count_messages([bag, other]).values()) == 3 * len(TICKS)
 
 
 def test_nothing_is_missing_between_recordings(write) -> None:

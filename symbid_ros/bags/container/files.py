@@ -1,8 +1,10 @@
 """The files of a bag, and all messages in them."""
 
+import filecmp
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -121,11 +123,39 @@ def join_names(bags: Sequence[Path]) -> str:
     return ", ".join(map(str, bags))
 
 
+def require_distinct(bags: Sequence[Path]) -> None:
+    """Raise an error if a bag, a file of it or a copy of such a file is given twice.
+
+    Raises
+    ------
+    BagError
+        When one is, or a bag is missing.
+    """
+    if len({bag.resolve() for bag in bags}) < len(bags):
+        raise BagError(f"{join_names(bags)}: a bag is named twice; name each bag once", "E202")
+    for (one, files), (other, others) in combinations([(bag, list_files(bag)) for bag in bags], 2):
+        for file, candidate in product(files, others):
+            if file.samefile(candidate):
+                raise BagError(f"{one}, {other}: both hold {file}; name one of them", "E202")
+            # Files of different sizes are not opened, and others rarely begin alike.
+            if filecmp.cmp(file, candidate, shallow=False):
+                raise BagError(
+                    f"{candidate}: a copy of {file}, which would count twice; leave {other} out",
+                    "E202",
+                )
+
+
 def count_messages(bags: Sequence[Path]) -> dict[Topic, int]:
     """Return the number of messages of each topic, from the summaries of the bags' files.
 
     A file without these numbers in its summary is read.
+
+    Raises
+    ------
+    BagError
+        When a bag is missing or damaged, or a file is given twice.
     """
+    require_distinct(bags)
     counts: Counter[Topic] = Counter()
     for bag in bags:
         for file in list_files(bag):
