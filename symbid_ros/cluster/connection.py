@@ -101,6 +101,8 @@ def connected(address: str) -> Iterator[Cluster]:
             f"`dask` needs Dask, which is not installed; run pip install '{PACKAGE}[dask]'", "E950"
         ) from None
     try:
+        # A client whose address is invalid waits in vain when it is deleted.
+        distributed.comm.resolve_address(address)
         client = distributed.Client(address, timeout=CONNECTING_TIME, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__

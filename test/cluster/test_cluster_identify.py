@@ -182,6 +182,15 @@ def test_a_missing_scheduler_is_named(monkeypatch) -> None:
     assert raised.value.code == "E951"
 
 
+@pytest.mark.parametrize("address", ["nowhere", "nowhere://127.0.0.1:1", ""])
+def test_an_invalid_address_creates_no_client(monkeypatch, address: str) -> None:
+    """One that exists waits 20 s for an event loop and prints a traceback when it is deleted."""
+    monkeypatch.setattr("distributed.Client", None)
+    with pytest.raises(SymbidError, match="no scheduler answers") as raised, connected(address):
+        pass
+    assert raised.value.code == "E951"
+
+
 def test_dask_is_asked_for_when_it_is_missing(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
