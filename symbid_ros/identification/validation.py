@@ -340,7 +340,8 @@ def compare(
     ranking = tuple(found[index] for index in order)
     if len(ranking) == 1:
         return Comparison(ranking, f"{ranking[0].result}: {ranking[0].verdict}")
-    return Comparison(ranking, _ranking_verdict(ranking[:2], [data[index] for index in order[:2]]))
+    verdict = _ranking_verdict(ranking[:2], [data[index] for index in order[:2]])
+    return Comparison(ranking, verdict + _remark_on_use(ranking))
 
 
 def _predictor(result: Result | str | Path, log: Log, payload: Sequence[str]) -> ForcePredictor:
@@ -450,6 +451,19 @@ def _ranking_verdict(pair: Sequence[Validation], data: Sequence[ForceRows]) -> s
     if change.is_decrease:
         return f"{pair[0].result} predicts best: {figures}"
     return f"{pair[0].result} and {pair[1].result} hardly differ: {figures}"
+
+
+def _remark_on_use(ranking: Sequence[Validation]) -> str:
+    """Return how much of the log each result was identified from; empty if none was."""
+    used = [
+        f"{one.result} used {one.seconds_used:.0f} s" for one in ranking if one.seconds_used > 0
+    ]
+    if not used:
+        return ""
+    return (
+        f"; of the log's {ranking[0].seconds:.0f} s, {' and '.join(used)} for the identification; "
+        "repeat this with another log"
+    )
 
 
 def _after(found: Validation) -> str:

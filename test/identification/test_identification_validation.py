@@ -329,6 +329,14 @@ def test_results_are_ranked_on_equal_rows(arm, tmp_path) -> None:
     assert compare([good], arm.held_out).verdict.startswith(f"{good}: use it")
 
 
+def test_a_comparison_names_the_results_that_used_its_log(arm) -> None:
+    mine, other = arm.identified(), arm.identified(method="wls_rc", rank=3)
+    known = compare([mine, other], arm.training).verdict
+    assert known.count(" s for the identification; repeat this with another log") == 1
+    assert known.count(" used 1") == 2
+    assert "used" not in compare([mine, other], arm.held_out).verdict
+
+
 def test_results_of_different_robots_are_not_compared(arm, walker) -> None:
     with pytest.raises(sy.EstimateError, match="its joints are not those of"):
         compare([arm.identified(), walker.identified()], arm.held_out)
