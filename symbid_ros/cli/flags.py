@@ -99,8 +99,14 @@ def _fill_from_robot_file(values: dict[str, Any], context: typer.Context) -> Non
             values[name] = value
 
 
-def require_model(model: Path | None) -> Path:
+def require_model(model: Path | None, name: str = "`model`") -> Path:
     """Return the model that a command was given, directly or by its robot file.
+
+    Parameters
+    ----------
+    model : Path or None
+    name : str
+        How the command spells it.
 
     Raises
     ------
@@ -109,7 +115,7 @@ def require_model(model: Path | None) -> Path:
     """
     if model is None:
         raise OptionError(
-            "there is no model; give `model`, or a `robot` file that names it", "E501"
+            f"there is no model; give {name}, or a `robot` file that names it", "E501"
         )
     return model
 

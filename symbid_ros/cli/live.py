@@ -69,7 +69,7 @@ def live(
     from symbid_ros.model.load import load_model
     from symbid_ros.shutdown import exit_on_signals
 
-    path = require_model(model)
+    path = require_model(model, "MODEL")
     load_model(path, base)  # an error is better shown here than in the log of a node
     exit_on_signals()
     console = Console()

@@ -36,7 +36,9 @@ def test_a_wrong_model_is_reported_before_any_node_starts(symbid_here, tmp_path)
     missing = symbid_here("live", tmp_path / "missing.urdf")
     assert missing.returncode == 2
     assert "E101" in missing.stderr
-    assert "E501" in symbid_here("live").stderr
+    unnamed = symbid_here("live").stderr
+    assert "there is no model; give MODEL, or a --robot file" in unnamed
+    assert "E501" in unnamed
 
 
 @pytest.mark.usefixtures("domain")
