@@ -170,6 +170,7 @@ def evaluate(
     if json_file is not None:
         check_output_file(json_file, lambda path: is_document(path, "evaluation"))
     robot = load_model(model, base)
+    robot.require_mass()
     estimated = load_estimated_model(estimate, robot)
     rigid = RigidSensors.of(estimated.parameters)
     parameters, values = rigid.parameters, rigid.matrix @ estimated.values
@@ -270,6 +271,7 @@ def report(
             ]
         elif bag and truth is not None:
             true_robot = load_model(truth, base)
+            true_robot.require_mass()
             internal = shown.parameters.model.wrist_sensors
             noisy = (
                 read_realistic_motion(realistic, true_robot, internal=internal)

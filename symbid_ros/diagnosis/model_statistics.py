@@ -58,6 +58,11 @@ class ModelStatistics:
     wrench_frames, imu_frames : sequence of str
         Frames of the log's sensors.
 
+    Raises
+    ------
+    ModelError
+        When the model has no mass.
+
     Attributes
     ----------
     parameters : ParameterSet
@@ -79,6 +84,7 @@ class ModelStatistics:
     def __init__(
         self, model: RobotModel, wrench_frames: Sequence[str], imu_frames: Sequence[str]
     ) -> None:
+        model.require_mass()
         self.model = model
         self.parameters = ParameterSet(model, CHECKED_TERMS)
         links = ParameterSet(model)

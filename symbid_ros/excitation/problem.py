@@ -171,6 +171,7 @@ def known_before(
     robot: RobotModel, options: ExciteOptions
 ) -> tuple[ParameterSet, FloatArray, FloatArray, Prior | None]:
     """Return the parameters, their expected values, L of their covariance, and their prior."""
+    robot.require_mass()
     if options.information is not None:
         folder = options.information
         known = load_estimated_model(folder if folder.is_dir() else folder.parent, robot)

@@ -84,11 +84,14 @@ def choose_prior(options: IdentifyOptions, parameters: ParameterSet) -> Prior:
     ------
     PriorError
         When the prior file is invalid or belongs to another robot.
+    ModelError
+        When the prior is relative to the model's inertias, which are zero.
     """
     if options.prior is not None:
         return load_prior(options.prior, parameters)
     if options.prior_absolute is not None:
         return absolute_model_prior(parameters, options.prior_absolute)
+    parameters.model.require_mass()
     if options.prior_percent is not None:
         return model_prior(parameters, options.prior_percent)
     return default_prior(parameters)

@@ -82,7 +82,7 @@ def _report_massless(model: RobotModel, *, is_base_known: bool) -> None:
         for link in model.links[first:]
         if not link.virtual and link.phi[0] == 0 and not np.any(link.phi)
     ]
-    if names:
+    if names and model.has_mass:  # require_mass refuses others where inertias are needed
         logger.warning(
             "%s: %s no mass; give each an <inertial>, or fix its joint",
             model.source,

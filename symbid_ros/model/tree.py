@@ -356,6 +356,24 @@ class RobotModel:
         is_frame = any(frame.name == name for frame in self.frames)
         return self.frame(link if on and not is_frame else name).link
 
+    @property
+    def has_mass(self) -> bool:
+        """Whether any moving link has a mass, which models for visualisation lack."""
+        return any(link.phi[0] > 0 for link in self.links[0 if self.floating else 1 :])
+
+    def require_mass(self) -> None:
+        """Raise an error if no moving link has a mass.
+
+        Raises
+        ------
+        ModelError
+            When none has one.
+        """
+        if not self.has_mass:
+            raise ModelError(
+                f"{self.source}: the model has no mass; give each moving link an <inertial>", "E123"
+            )
+
     def with_phi(self, phi: FloatArray) -> "RobotModel":
         """Return the same robot with the inertias (L, 10) of ``phi``."""
         links = tuple(replace(link, phi=row) for link, row in zip(self.links, phi, strict=True))

@@ -280,6 +280,7 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
     BagError, EstimateError
         When the bag has no ground truth, or the result is of another robot.
     """
+    robot.require_mass()
     estimate = result.estimate
     divided = with_wrist_sensors(robot, estimate.wrist_sensors)
     parameters = estimate.parameters_of(divided)

@@ -1,6 +1,7 @@
 """A user's mistake ends with one helpful line and leaves earlier files unchanged."""
 
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from symbid_ros.estimation.prior import model_prior
 from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.package_paths import config_file
 from symbid_ros.signals.weak_form import WINDOWS
 from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
@@ -79,6 +81,30 @@ def test_a_file_that_is_not_a_bag(fails, good, tmp_path) -> None:
 
 def test_a_missing_model(fails, good) -> None:
     fails("nowhere.urdf", **good | {"model": "nowhere.urdf"})
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("identify", "BAG", "--out", "OUT"),
+        ("identify", "BAG", "--out", "OUT", "--unchecked"),
+        ("bag", "doctor", "BAG"),
+        ("init", "--bag", "BAG", "--out", "OUT"),
+        ("evaluate", "OUT", "--bag", "BAG"),
+        ("excite", "--base", "fixed", "--out", "OUT"),
+    ],
+    ids=" ".join,
+)
+def test_a_model_without_any_inertia(symbid_here, short, tmp_path, command) -> None:
+    bare = tmp_path / "visual.urdf"
+    text = config_file("symbitron.urdf").read_text()
+    bare.write_text(re.sub("<inertial>.*?</inertial>", "", text, flags=re.DOTALL))
+    paths = {"BAG": short, "OUT": tmp_path / "out"}
+    ended = symbid_here(*(paths.get(word, word) for word in command), "--model", bare)
+    assert ended.returncode == 2
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith(f"symbid: {bare}: the model has no mass; give each moving link")
+    assert not paths["OUT"].exists()
 
 
 def test_a_model_with_other_joints(fails, good, model, tmp_path) -> None:

@@ -49,7 +49,10 @@ def test_verbose_names_steps_and_quiet_leaves_warnings_out(symbid_here, short, t
     robot = tmp_path / "massless.urdf"
     robot.write_text(
         '<robot name="r"><link name="world"/><link name="arm"/><joint name="j" type="continuous">'
-        '<parent link="world"/><child link="arm"/></joint></robot>'
+        '<parent link="world"/><child link="arm"/></joint><joint name="k" type="continuous">'
+        '<parent link="arm"/><child link="hand"/></joint><link name="hand"><inertial>'
+        '<mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial></link></robot>"
     )
     words = "prior", "--model", robot, "--percent", 5, "--out", tmp_path / "prior.json"
     (warning,) = symbid_here(*words).stderr.splitlines()
