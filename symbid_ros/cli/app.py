@@ -10,19 +10,20 @@ from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, TextIO, get_args
 
 import typer
 import typer.exceptions
 import typer.main
 from rich.console import Console
 from rich.logging import RichHandler
+from rich.text import Text
 
 from symbid_ros.cli.bag import app as bag
 from symbid_ros.cli.demo import demo
 from symbid_ros.cli.estimates import evaluate, identify, prior, report
 from symbid_ros.cli.excite import excite
-from symbid_ros.cli.flags import flag
+from symbid_ros.cli.flags import TYPES, flag
 from symbid_ros.cli.fleet import fleet
 from symbid_ros.cli.init import init
 from symbid_ros.cli.install import apply, diff
@@ -42,7 +43,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-NARROW = 72  # columns of a terminal, below which names of options do not fit in frames
+NARROW = 80  # columns of a terminal, below which names of options do not fit in frames
+# Columns for each character of the longest name, which frames would cut off on a narrower terminal.
+COLUMNS_PER_CHARACTER = 3.8
 USAGE = 2  # status after an error that the user can correct
 CLOSED_PIPE = 141  # as in shells: 128 plus the number of SIGPIPE
 
@@ -168,21 +171,22 @@ class _Formatter(logging.Formatter):
 def _command() -> Any:
     """Return the click command that typer builds, with all subcommands."""
     command = typer.main.get_command(app)
-    _hide_types_of_flags(command)
+    _name_types(command)
     _refuse_empty_paths(command)
     _join_lines_of_help(command)
-    if get_terminal_size().columns < NARROW:
-        _print_plain_help(command)
+    _print_plain_help(command, get_terminal_size().columns)
     return command
 
 
-def _print_plain_help(command: Any) -> None:
-    """Print help without frames, whose columns would cut off the names of options."""
+def _print_plain_help(command: Any, columns: int) -> None:
+    """Print help without frames where their columns would cut off the names of options."""
     subcommands = getattr(command, "commands", {}).values()
     for subcommand in subcommands:
-        _print_plain_help(subcommand)
-    if not subcommands:
+        _print_plain_help(subcommand, columns)
+    longest = max((len(name) for one in command.params for name in one.opts), default=0)
+    if not subcommands and columns < max(NARROW, COLUMNS_PER_CHARACTER * longest):
         command.rich_markup_mode = None
+        command.help = Text.from_markup(command.help).plain
 
 
 def _join_lines_of_help(command: Any) -> None:
@@ -215,12 +219,21 @@ def _nonempty(parameter: Any, convert: Callable[..., Any], context: Any, value: 
     return converted
 
 
-def _hide_types_of_flags(command: Any, parent: Any = None) -> None:
-    """Keep --help from showing <bool> beside options that take no value."""
+def _name_types(command: Any, parent: Any = None) -> None:
+    """Let help name the types of values alike in all commands, and none beside a flag."""
     # The context decides how help is asked for, which the command remembers.
     context = command.context_class(command, parent=parent, **command.context_settings)
-    for option in command.get_params(context):
-        if getattr(option, "is_flag", False):
-            option.metavar = ""
+    for parameter in command.get_params(context):
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = ""
+        described = parameter.type_descriptor
+        if not (described.is_choice or described.is_tuple):
+            kind = next(iter(get_args(described.annotation)), described.annotation)
+            if kind in TYPES:
+                parameter.display_type = partial(_type_name, kind)
     for subcommand in getattr(command, "commands", {}).values():
-        _hide_types_of_flags(subcommand, context)
+        _name_types(subcommand, context)
+
+
+def _type_name(kind: type, ctx: Any) -> str:
+    return TYPES[kind]

@@ -36,8 +36,9 @@ def demo(
         int | None,
         typer.Option(
             min=0,
-            help="Seed of the prior and the noise.",
-            show_default="0; with --learn 2, a prior with which the robot falls",
+            help="Seed of the prior and the noise. Default: 0; with --learn 2, whose prior makes "
+            "the robot fall.",
+            show_default=False,
         ),
     ] = None,
     online: Annotated[

@@ -136,12 +136,13 @@ def identify(
 def evaluate(
     estimate: Annotated[Path, typer.Argument(help="Folder of an identification, or a prior.json.")],
     model: Annotated[Path, typer.Option(help="Model with the true parameters, URDF or MJCF.")],
-    bag: Annotated[list[Path], typer.Option(help="Ideal bag with ground truth.")],
+    bag: Annotated[list[Path], typer.Option(help="Ideal bag with ground truth. Repeatable.")],
     realistic: Annotated[
         list[Path] | None,
         typer.Option(
             help="Noisy bag with ground truth. Predictions then also use the robot's own sensors: "
-            "velocities filtered in real time, and contact forces from Eq. 4.1 of the thesis."
+            "velocities filtered in real time, and contact forces from Eq. 4.1 of the thesis. "
+            "Repeatable."
         ),
     ] = None,
     velocity_cutoff: Annotated[
@@ -215,7 +216,7 @@ def report(
         list[Path] | None,
         typer.Option(
             help="Bag whose forces are shown instead of those of the identified log; with --truth, "
-            "bag with ground truth to predict."
+            "bag with ground truth to predict. Repeatable."
         ),
     ] = None,
     out: Annotated[
@@ -232,7 +233,8 @@ def report(
     realistic: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Noisy bag with ground truth, for predictions from its sensors; needs --truth."
+            help="Noisy bag with ground truth, for predictions from its sensors; needs --truth. "
+            "Repeatable."
         ),
     ] = None,
     base: BaseKind = "auto",

@@ -37,6 +37,8 @@ LogBaseKind = Annotated[
     ),
 ]
 
+# How help names the type of a value.
+TYPES = {int: "<integer>", float: "<number>", Path: "<path>", str: "<text>"}
 CONTEXT = "context"  # parameter in which typer passes how options were given
 
 
@@ -129,8 +131,7 @@ def _parameter(option: Option) -> inspect.Parameter:
     default = None if option.is_sequence else option.default
     if default is None:
         kind |= None
-    words = {int: "<integer>", float: "<number>", Path: "<path>", str: "<text>"}
-    metavar = None if option.choices else words.get(option.kind)
+    metavar = None if option.choices else TYPES.get(option.kind)
     info = typer.Option(
         flag(option.name),
         help=_help(option),
@@ -138,7 +139,7 @@ def _parameter(option: Option) -> inspect.Parameter:
         max=option.maximum,
         metavar=option.metavar or (f"<{option.unit}>" if option.unit else metavar),
         rich_help_panel=option.group or None,
-        show_default=default not in (None, "", False, 0.0),
+        show_default=default not in (None, "") and default is not False,
     )
     return inspect.Parameter(
         option.name,

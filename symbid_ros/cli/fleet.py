@@ -21,7 +21,9 @@ def fleet(
     out: Annotated[
         Path | None, typer.Option(help="HTML file to write.", show_default=False)
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object instead of tables.")
+    ] = False,
 ) -> None:
     """Compare robots of one type: what they have in common, and which one differs where.
 

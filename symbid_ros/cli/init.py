@@ -16,9 +16,7 @@ def init(
             help="Robot model: URDF, MJCF or xacro, whose URDF is written beside the robot file."
         ),
     ],
-    bag: Annotated[
-        list[Path] | None, typer.Option(help="Bag of the robot, in sequence if several.")
-    ] = None,
+    bag: Annotated[list[Path] | None, typer.Option(help="Bag of the robot. Repeatable.")] = None,
     out: Annotated[
         Path | None, typer.Option(help="Robot file to write, such as robot.yaml.")
     ] = None,

@@ -33,8 +33,8 @@ def simulate(
         Path | None,
         typer.Option(
             help="Folder of `symbid excite`, or CSV file in it, for a robot to follow; for one on "
-            "a fixed base any CSV file with positions of joints. Needs --model. Of the options of "
-            "scenarios, --noise-seed, --ideal and --friction apply as well."
+            "a fixed base any CSV file with positions of joints. Needs --model. --noise-seed, "
+            "--ideal and --friction apply as well; other options of scenarios do not."
         ),
     ] = None,
     model: ModelOrRobot = None,
@@ -205,7 +205,10 @@ StandingScenario = Literal["smooth", "wide", "squat"]
 def udp_client(
     host: Annotated[str, typer.Option(help="Host of the simulator.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="UDP port of the simulator.")] = 5005,
-    scenario: Annotated[StandingScenario, typer.Option(help="Motion of the robot.")] = "smooth",
+    scenario: Annotated[
+        StandingScenario,
+        typer.Option(help="Motion of the robot: smooth, wide or squat.", metavar="SCENARIO"),
+    ] = "smooth",
     moves: Annotated[int, typer.Option(min=1, help="Number of moves.")] = 20,
     motion_seed: Annotated[int, typer.Option(min=0, help="Random seed of the moves.")] = 0,
     model: Annotated[
@@ -230,7 +233,10 @@ def udp_client(
         ),
     ] = 0.25,
     timeout: Annotated[
-        float, typer.Option(min=0.1, help="Seconds without a measurement after which it stops.")
+        float,
+        typer.Option(
+            min=0.1, metavar="<s>", help="Seconds without a measurement after which it stops."
+        ),
     ] = 10.0,
 ) -> None:
     """Balance a robot over UDP, from its sensor data, until Ctrl-C.

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from symbid_ros.bags import BagInfo, FileInfo, LostRange, RecoveryReport
-from symbid_ros.cli.fitted_tables import Row, print_table, written_files
+from symbid_ros.cli.fitted_tables import UNLIMITED, Row, print_table, written_files
 from symbid_ros.cli.flags import flag
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
@@ -43,22 +43,22 @@ def print_info(info: BagInfo) -> None:
         console.print(Text(f"{file.name}: {', '.join(_traits(file))}"), soft_wrap=True)
         if file.fault:
             console.print(Text(f"{file.name}: {file.fault}", style="red"), soft_wrap=True)
-    table = _table("topic", "type", "messages", "Hz", "publishers")
+    rows = []
     for topic in info.topics:
         rate = "–" if topic.rate is None else f"{topic.rate:.4g}"
         qos = ", ".join(dict.fromkeys(map(_qos, topic.qos)))
-        table.add_row(Text(topic.name), _type(topic.msgtype), str(topic.count), rate, Text(qos))
-    console.print(table)
+        rows.append((topic.name, _type(topic.msgtype), str(topic.count), rate, Text(qos)))
+    _print_topics(console, ("messages", "Hz", "publishers"), rows)
 
 
 def print_recovery(recovery: RecoveryReport) -> None:
     """Print how many messages of a bag were kept and lost, and where."""
     console = Console(highlight=False)
-    table = _table("topic", "type", "kept", "lost")
+    rows = []
     for topic in recovery.topics:
         missing = Text(str(topic.lost), style="red" if topic.lost else "")
-        table.add_row(Text(topic.name), _type(topic.msgtype), str(topic.kept), missing)
-    console.print(table)
+        rows.append((topic.name, _type(topic.msgtype), str(topic.kept), missing))
+    _print_topics(console, ("kept", "lost"), rows)
     for hole in recovery.holes[:SHOWN]:
         console.print(Text(_hole(hole)), soft_wrap=True)
     if len(recovery.holes) > SHOWN:
@@ -77,20 +77,53 @@ def print_recovery(recovery: RecoveryReport) -> None:
     console.print(Text(f"wrote {recovery.out}"), soft_wrap=True)
 
 
-def _table(first: str, second: str, *others: str) -> Table:
-    """Return a table that wraps names, but not numbers, on a narrow terminal."""
-    table = Table(pad_edge=False, box=box.SIMPLE_HEAD)
-    for name in (first, second):
-        table.add_column(name, overflow="fold")
-    for name in others:
-        is_text = name == "publishers"
-        table.add_column(
-            name,
-            justify="left" if is_text else "right",
-            no_wrap=not is_text,
-            overflow="fold",
+def _print_topics(
+    console: Console,
+    headers: Sequence[str],
+    rows: Sequence[tuple[str, str, *tuple[Text | str, ...]]],
+) -> None:
+    """Print a table of topics, their types and other cells.
+
+    On a narrow terminal, types break behind the package, then topics behind each slash. Names break
+    anywhere only if that does not suffice.
+    """
+
+    def table(*breaks: bool, is_dense: bool = False, folds: bool = False) -> Table:
+        table = Table(
+            pad_edge=False,
+            box=box.SIMPLE_HEAD,
+            collapse_padding=is_dense,
+            show_edge=not is_dense,
         )
-    return table
+        for name in ("topic", "type"):
+            table.add_column(name, no_wrap=not folds, overflow="fold")
+        for name in headers:
+            is_text = name == "publishers"
+            table.add_column(
+                name,
+                justify="left" if is_text else "right",
+                no_wrap=not is_text,
+                overflow="fold",
+            )
+        for topic, kind, *others in rows:
+            names = zip((topic, kind), breaks, strict=True)
+            table.add_row(
+                *(Text(_broken(name) if is_broken else name) for name, is_broken in names), *others
+            )
+        return table
+
+    options = console.options.update(max_width=UNLIMITED)
+    tables = table(False, False), table(False, True), table(True, True)
+    for one in (*tables, table(True, True, is_dense=True)):
+        if console.measure(one, options=options).minimum <= console.width:
+            console.print(one)
+            return
+    console.print(table(False, False, folds=True))
+
+
+def _broken(name: str) -> str:
+    """Return a name with a line for each of its parts, which end with a slash."""
+    return name[:1] + name[1:].replace("/", "/\n")
 
 
 def _traits(file: FileInfo) -> Iterator[str]:
@@ -125,9 +158,9 @@ def _qos(offer: OfferedQos) -> str:
     return f"{offer.reliability.replace('_', ' ')}, {depth}{latched}"
 
 
-def _type(msgtype: str) -> Text:
+def _type(msgtype: str) -> str:
     """Return a type's short name, as in ROS 2's documentation."""
-    return Text(msgtype.replace("/msg/", "/"))
+    return msgtype.replace("/msg/", "/")
 
 
 def _time(stamp: int) -> str:

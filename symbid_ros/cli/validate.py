@@ -14,13 +14,13 @@ from symbid_ros.messages.log_options import LogOptions
 
 HeldOut = Annotated[
     list[Path],
-    typer.Option(help="Bag that the identification did not use, in sequence if several."),
+    typer.Option(help="Bag that the identification did not use. Repeatable."),
 ]
 Carried = Annotated[
     list[str] | None,
     typer.Option(
         help="Payload LINK,MASS,X,Y,Z (kg; m in the link's axes) that the robot carries in the "
-        "bag; LINK,MASS if the identification found its place.",
+        "bag; LINK,MASS if the identification found its place. Repeatable.",
         metavar="PAYLOAD",
     ),
 ]

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 from symbid_ros.choices import Scenario
 from symbid_ros.options import check_values, option
@@ -20,7 +21,10 @@ class SimulateOptions:
     """
 
     scenario: Scenario = option(
-        "smooth", "Motion of the robot; with an external controller, its initial posture."
+        "smooth",
+        f"Motion of the robot, one of {', '.join(get_args(Scenario))}; with an external "
+        "controller, its initial posture.",
+        metavar="SCENARIO",
     )
     moves: int = option(
         20,

@@ -1,6 +1,7 @@
 """``symbid bag info`` and ``symbid bag recover`` as a user runs them."""
 
 import json
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -67,7 +68,8 @@ def test_tables_fit_the_terminal_and_lose_nothing(symbid_here, bag, columns) -> 
         assert ended.returncode == 0, ended.stderr
         lines = ended.stdout.splitlines()
         head = next(line for line in lines if line.split()[:2] == ["topic", "type"])
-        rows = [line for line in lines[lines.index(head) :] if line.startswith(" ")]
+        below = lines[lines.index(head) :]
+        rows = list(takewhile(lambda line: "messages kept" not in line, below))
         assert all(len(line) <= columns for line in rows)
         middle = head.index("type")
         names = "".join(row[:middle].strip() for row in rows)
@@ -75,6 +77,14 @@ def test_tables_fit_the_terminal_and_lose_nothing(symbid_here, bag, columns) -> 
         assert "/robot/joint_states" in names
         assert "sensor_msgs/JointState" in types
         assert "…" not in ended.stdout
+
+
+@pytest.mark.parametrize("columns", [60, 70, 80, 100])
+def test_names_break_at_slashes_only(symbid_here, bag, columns) -> None:
+    shown = symbid_here("bag", "info", bag, columns=columns).stdout
+    words = set(shown.split())
+    assert {"sensor_msgs/JointState"} <= words or {"sensor_msgs/", "JointState"} <= words
+    assert {"/robot/joint_states"} <= words or {"/robot/", "joint_states"} <= words
 
 
 def test_info_of_an_interrupted_bag_points_to_recover(symbid_here, bag) -> None:

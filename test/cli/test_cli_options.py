@@ -9,7 +9,7 @@ import sys
 import pytest
 import typer.main
 
-from symbid_ros.cli.app import app
+from symbid_ros.cli.app import _command, app
 from symbid_ros.package_paths import config_file
 from symbid_ros.report.templates import is_page, page_template
 
@@ -28,6 +28,30 @@ def test_help_shows_no_value_beside_a_flag(symbid_here, words):
     assert shown.returncode == 0
     assert "--help" in shown.stdout
     assert not re.search(r"<bool>|BOOL", shown.stdout)
+
+
+@pytest.mark.parametrize("columns", [60, 79, 80, 100])
+@pytest.mark.parametrize("words", commands(typer.main.get_command(app)), ids=" ".join)
+def test_help_suits_the_terminal(symbid_here, words, columns):
+    """No name is cut off, no word of a choice broken, no markup or Python type shown."""
+    shown = symbid_here(*words[1:], "--help", columns=columns).stdout
+    assert max(map(len, shown.splitlines())) <= columns
+    assert "…" not in shown
+    assert not re.search(r"\[/?b\]|<str>|<int[ >]|<float|list\[", shown)
+    assert not re.search(r"<[a-z_]+\|[^>\n]*\n", shown)
+
+
+@pytest.mark.parametrize("words", commands(typer.main.get_command(app)), ids=" ".join)
+def test_help_tells_defaults_and_what_is_repeatable(words):
+    command = _command()
+    for word in words[1:]:
+        command = command.commands[word]
+    for option in command.params:
+        if option.param_type_name == "option" and option.multiple:
+            assert "Repeatable." in option.help, option.name
+        is_number = isinstance(option.default, int | float) and not option.is_flag
+        if is_number and option.name != "verbose":
+            assert option.show_default, option.name
 
 
 def test_lines_of_help_are_filled(symbid_here):
