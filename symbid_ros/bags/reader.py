@@ -57,7 +57,7 @@ def _log_of(bags: Sequence[Path], topics: TopicSelection, part: TimeRange) -> Lo
 
     def other(bags: tuple[Path, ...]) -> Log:
         count_messages(bags)
-        return bag_log(bags, topics=topics)
+        return bag_log(bags, topics=replace(topics, mapping=topics.mapping.of_any_log()))
 
     def of_robot(robot: RobotModel) -> Log:
         return _log_of(bags, topics.of_model(robot), part)

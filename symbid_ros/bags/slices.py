@@ -14,10 +14,11 @@ from symbid_ros.bags.container.files import count_messages, join_names, read_blo
 from symbid_ros.bags.recordings import separate_recordings
 from symbid_ros.errors import DataError
 from symbid_ros.messages.contact_flags import FlagHistory
-from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
+from symbid_ros.messages.decoder import MAX_LAYOUTS, DecodedBatch, TopicDecoder
 from symbid_ros.messages.layout import ByteArray
+from symbid_ros.messages.name_check import RecordedNames, check_names
 from symbid_ros.messages.sensor_streams import build_streams, group_joints, read_stamps
-from symbid_ros.messages.static_transforms import is_static
+from symbid_ros.messages.static_transforms import is_static, static_transforms
 from symbid_ros.messages.topics import (
     SelectedTopics,
     Topic,
@@ -102,6 +103,7 @@ def iterate_slices(
             yield from slicer.remaining_slices()
         if slicer.is_done:
             break
+    slicer.check_names(topics)
     chosen.unwrapper.report(source, chosen.clock.name)
     if warn:
         slicer.report()
@@ -136,6 +138,7 @@ class _Slicer:
         self._recording = -1
         self._name = ""
         self._shift: int | None = 0
+        self._static_frames: set[str] = set()
 
     def begin(self, name: str) -> None:
         """Begin with a further recording; ``name`` is that of its bags, for messages."""
@@ -167,6 +170,12 @@ class _Slicer:
                 buffer.add(block.data, spans, *limits, self._shift or 0)
         if self._flags:
             self._add_flags(block)
+        for topic, spans in block.spans.items():
+            if is_static(topic):
+                for start, size in spans.tolist():
+                    payload = block.data[start : start + size].tobytes()
+                    for one in static_transforms(payload):
+                        self._static_frames |= {one.parent, one.child}
         if not self._has_begun and (first := self._joints.first_from(ALWAYS[0])) is not None:
             self._has_begun = True
             if self._part.start > 0:
@@ -226,6 +235,27 @@ class _Slicer:
         """Yield the last slices at the end of the bags."""
         while (stop := self._stop()) is not None:
             yield self._slice(stop)
+
+    def check_names(self, selection: TopicSelection) -> None:
+        """Refuse options with names that neither the messages so far nor the model have."""
+        layouts = {topic: one.decoder.layouts for topic, one in self._buffers.items()}
+        if any(len(each) == MAX_LAYOUTS for each in layouts.values()):
+            return  # further names may have been read
+
+        def names(topics: Sequence[Topic], field: str) -> set[str]:
+            texts = (layout.text[field] for topic in topics for layout in layouts[topic])
+            return {name for text in texts for name in text}
+
+        chosen = self._chosen
+        sensors = (*chosen.imus, *chosen.wrenches, *chosen.poses)
+        recorded = RecordedNames(
+            self._source,
+            names(chosen.joints, "name"),
+            names(sensors, "header.frame_id") | self._static_frames,
+            {topic.name for topic in chosen.wrenches},
+        )
+        held = chosen.held_joints.held
+        check_names(chosen.mapping, selection.model, recorded, held, chosen.logged)
 
     def report(self) -> None:
         """Warn of repaired defects."""

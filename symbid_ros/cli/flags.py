@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable
+from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
@@ -10,6 +11,7 @@ import typer
 
 from symbid_ros.choices import Base
 from symbid_ros.errors import OptionError
+from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.options import Option, options_of, spelled
 
 Model = Annotated[Path, typer.Option(help="Robot model, URDF or MJCF.")]
@@ -75,12 +77,16 @@ def with_flags(function: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(function)
     def command(**values: Any) -> None:
+        filled: list[str] = []
         if takes_robot:
-            _fill_from_robot_file(values, values.pop(CONTEXT))
+            filled = _fill_from_robot_file(values, values.pop(CONTEXT))
         for name, kind in groups.items():
             given = {option.name: values.pop(option.name) for option in options_of(kind)}
             # None means that the flag was not given.
-            values[name] = kind(**{key: v for key, v in given.items() if v is not None})
+            options = kind(**{key: v for key, v in given.items() if v is not None})
+            if isinstance(options, LogOptions):
+                options = replace(options, of_robot=tuple(filled))
+            values[name] = options
         function(**values)
 
     command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
@@ -88,17 +94,20 @@ def with_flags(function: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-def _fill_from_robot_file(values: dict[str, Any], context: typer.Context) -> None:
-    """Set the options that were not given to those of the robot file."""
+def _fill_from_robot_file(values: dict[str, Any], context: typer.Context) -> list[str]:
+    """Set the options that were not given to those of the robot file, and return their names."""
     file = values["robot"]
     if file is None:
-        return
+        return []
     from symbid_ros.offline.robot_file import load_robot_file  # loads NumPy
 
+    filled = []
     for name, value in load_robot_file(file).items():
         source = context.get_parameter_source(name)
         if name in values and (source is None or source.name == "DEFAULT"):
             values[name] = value
+            filled.append(name)
+    return filled
 
 
 def require_model(model: Path | None, name: str = "`model`") -> Path:

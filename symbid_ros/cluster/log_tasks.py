@@ -399,9 +399,10 @@ def _warnings() -> Iterator[list[str]]:
 
 
 def _log_options(text: str) -> LogOptions:
+    """Return options of a log; a part of it may lack names of the whole."""
     values = json.loads(text)
     lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
-    return LogOptions(**(values | lists))
+    return LogOptions(**(values | lists)).of_any_log()
 
 
 @lru_cache(maxsize=4)

@@ -72,7 +72,7 @@ def with_contacts(model: RobotModel, contacts: Sequence[str]) -> RobotModel:
     """
     if not contacts:
         return model
-    frames = tuple(model.frame(one.partition(":")[0]).name for one in contacts)
+    frames = tuple(model.frame(one.partition(":")[0], "contact").name for one in contacts)
     found = _eliminated(model, tuple(_explicit(model, one) for one in contacts), frames)
     if not len(found.coordinates):
         raise ModelError(

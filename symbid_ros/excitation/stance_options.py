@@ -49,8 +49,9 @@ def find_stance(robot: RobotModel, options: ExciteOptions) -> Stance:
         frame, _, kind = name.partition(":")
         if kind not in ("", POINT):
             raise OptionError(f"`feet`: {name!r} is no foot; give FRAME or FRAME:point", "E920")
+        own = robot.frame(frame, "feet")
         bounds = np.zeros(4) if kind == POINT else sole_bounds(robot, frame)
-        feet.append(Foot(robot.frame(frame).name, bounds))
+        feet.append(Foot(own.name, bounds))
     position = _posture(robot, tuple(feet), options)
     nothing = np.zeros(3)
     stance = Stance(robot, tuple(feet), position, nothing, np.eye(3))

@@ -17,6 +17,12 @@ PART = {"start", "stop"}
 class LogOptions:
     """Topics and part of a recording to read.
 
+    Attributes
+    ----------
+    of_robot : tuple of str
+        Names of the options that come from a robot file or another log of the robot, and so may
+        name joints and frames that this log lacks.
+
     Raises
     ------
     OptionError
@@ -117,6 +123,8 @@ class LogOptions:
         group=MAPPING,
     )
 
+    of_robot: tuple[str, ...] = ()
+
     def __post_init__(self) -> None:
         """Refuse invalid values."""
         check_values(self)
@@ -139,7 +147,11 @@ class LogOptions:
             for one in options_of(type(self))
             if one.name in others.keys() - PART and getattr(self, one.name) == one.default
         }
-        return replace(self, **missing)
+        return replace(self, **missing, of_robot=(*self.of_robot, *missing))
+
+    def of_any_log(self) -> "LogOptions":
+        """Return the options as those of a robot, whose logs may lack some joints and frames."""
+        return replace(self, of_robot=tuple(one.name for one in options_of(type(self))))
 
     @property
     def end(self) -> float:

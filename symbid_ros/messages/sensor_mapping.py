@@ -11,7 +11,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import OptionError
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.model.rotation import rotation_from_rpy
-from symbid_ros.options import robot_file_line
+from symbid_ros.options import options_of, robot_file_line
 from symbid_ros.signals.streams import ImuStream, JointStream, WrenchStream
 
 logger = logging.getLogger(__name__)
@@ -44,6 +44,8 @@ class SensorMapping:
         Links that wrenches in axes of the world act on, by topic.
     flagged : mapping of str to str
         Frames of contacts, by the topics that tell whether they touch anything.
+    of_robot : tuple of str
+        As in `LogOptions`.
     """
 
     frame_prefix: str = ""
@@ -56,6 +58,7 @@ class SensorMapping:
     tracked: str = ""
     plate_links: Mapping[str, str] = field(default_factory=dict)
     flagged: Mapping[str, str] = field(default_factory=dict)
+    of_robot: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, options: LogOptions) -> "SensorMapping":
@@ -77,7 +80,12 @@ class SensorMapping:
             options.pose_frame,
             _pairs("plate_link", options.plate_link, str),
             _pairs("contact_flag", options.contact_flag, str),
+            options.of_robot,
         )
+
+    def of_any_log(self) -> "SensorMapping":
+        """Return the mapping as that of a robot, whose logs may lack some joints and frames."""
+        return replace(self, of_robot=tuple(one.name for one in options_of(LogOptions)))
 
     def frame(self, frame_id: str) -> str:
         """Return the model's name of a sensor's frame."""
@@ -168,6 +176,11 @@ class HeldJoints:
             velocity=with_columns(stream.velocity, nothing),
             effort=with_columns(stream.effort, nothing),
         )
+
+    @property
+    def held(self) -> frozenset[str] | None:
+        """Names of the joints that are held; None before the first states."""
+        return None if self._held is None else frozenset(self._held)
 
     def _missing(self, stream: JointStream, source: str) -> dict[str, float]:
         missing = [name for name in self.needed if name not in stream.names]

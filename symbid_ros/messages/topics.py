@@ -8,6 +8,7 @@ from typing import Any
 
 from symbid_ros.errors import BagError
 from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.messages.name_check import ModelNames
 from symbid_ros.messages.sensor_mapping import SAME, HeldJoints, SensorMapping
 from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.tree import RobotModel
@@ -18,12 +19,7 @@ TRUTH = "ground_truth"
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 POSES = ODOMETRY, POSE
 DRIVES = ODOMETRY, IMU
-TOPIC_OPTIONS = {
-    JOINT_STATE: "joint_topic",
-    IMU: "imu_topic",
-    WRENCH: "wrench_topic",
-    ODOMETRY: "pose_topic",
-}
+TOPIC_OPTIONS = {JOINT_STATE: "joint_topic", IMU: "imu_topic", WRENCH: "wrench_topic"}
 ENCODED = " encoded as "  # between a type's name and an encoding other than CDR
 
 
@@ -88,6 +84,8 @@ class TopicSelection:
         Joints of the model, if known: messages that name none of them are ignored.
     linear_joints : tuple of str
         Its prismatic joints, whose positions are lengths instead of angles.
+    model : ModelNames or None
+        Names of the model, if known.
     poses : tuple of str
         Odometry and PoseStamped topics of tracked frames.
     drives : tuple of str
@@ -104,6 +102,7 @@ class TopicSelection:
     poses: tuple[str, ...] = ()
     drives: tuple[str, ...] = ()
     linear_joints: tuple[str, ...] = ()
+    model: ModelNames | None = None
     logged: set[str] = field(default_factory=set, repr=False, compare=False)
 
     @classmethod
@@ -124,6 +123,7 @@ class TopicSelection:
             self,
             joint_names=model.measured_joint_names,
             linear_joints=model.prismatic_joint_names,
+            model=ModelNames.of(model),
         )
 
     def __post_init__(self) -> None:
@@ -256,7 +256,7 @@ class TopicSelector:
                 f"{robot_file_line('joint_topic', *(topic.name for topic in joints))}",
                 "E212",
             )
-        drives = tuple(self._find_named(name, *DRIVES) for name in self.selection.drives)
+        drives = self._find_named("drive_topic", self.selection.drives, DRIVES)
         imus = self._find(IMU, self.selection.imus, None)
         chosen = SelectedTopics(
             joints,
@@ -264,10 +264,10 @@ class TopicSelector:
             self._find(WRENCH, self.selection.wrenches, "wrench"),
             self.selection.mapping,
             self.selection.joint_names,
-            poses=tuple(self._find_named(name, *POSES) for name in self.selection.poses),
+            poses=self._find_named("pose_topic", self.selection.poses, POSES),
             drives=drives,
             linear_joints=self.selection.linear_joints,
-            flags=tuple(self._find_named(name, BOOL) for name in self.selection.mapping.flagged),
+            flags=self._find_named("contact_flag", self.selection.mapping.flagged, (BOOL,)),
             logged=self.selection.logged,
         )
         for topic in (*chosen.all, *chosen.flags):
@@ -293,14 +293,20 @@ class TopicSelector:
         if names is None:
             found = [topic for topic in self.counts if self._matches(topic, msgtype, None, ending)]
             return tuple(sorted(found, key=lambda topic: topic.name))
-        return tuple(self._find_named(name, msgtype) for name in names)
+        return self._find_named(TOPIC_OPTIONS[msgtype], names, (msgtype,))
 
-    def _find_named(self, name: str, *msgtypes: str) -> Topic:
+    def _find_named(
+        self, option: str, names: Iterable[str], msgtypes: Sequence[str]
+    ) -> tuple[Topic, ...]:
+        """Return the topics that an option names, each of one of some types."""
+        return tuple(self._named(option, name, msgtypes) for name in names)
+
+    def _named(self, option: str, name: str, msgtypes: Sequence[str]) -> Topic:
         others = [topic for topic in self.counts if _bare(topic.name) == _bare(name)]
         if not others:
             raise BagError(
-                f"{self.source}: no topic {name}, it holds {describe_topics(self.counts)}; name "
-                f"one of these{self._line(msgtypes)}",
+                f"{self.source}: no topic {name}, it holds {describe_topics(self.counts)}; "
+                f"{self._advice(option, msgtypes)}",
                 "E210",
             )
         for topic in others:
@@ -308,20 +314,35 @@ class TopicSelector:
                 return topic
         raise BagError(
             f"{self.source}: topic {name} is of type {others[0].msgtype}, not "
-            f"{' or '.join(msgtypes)}; name another topic{self._line(msgtypes)}",
+            f"{' or '.join(msgtypes)}; {self._advice(option, msgtypes)}",
             "E211",
         )
 
-    def _line(self, msgtypes: Sequence[str]) -> str:
-        """Return how a robot file names the topics of some types; empty if there are none."""
-        names = sorted(topic.name for topic in self.counts if topic.msgtype in msgtypes)
-        if not names or msgtypes[0] not in TOPIC_OPTIONS:
-            return ""
-        return f", such as {robot_file_line(TOPIC_OPTIONS[msgtypes[0]], names[0])}"
+    def _advice(self, option: str, msgtypes: Sequence[str]) -> str:
+        """Return which topics an option may name, spelled where the option was given."""
+        usable = sorted(
+            topic.name
+            for topic in self.counts
+            if topic.msgtype in msgtypes and not is_truth(topic.name)
+        )
+        if not usable:
+            return f"record one of type {' or '.join(msgtypes)}, or leave `{option}` out"
+        suitable = f"{usable[0]}:=FRAME" if option == "contact_flag" else usable[0]
+        if option in self.selection.mapping.of_robot:
+            return f"name one of that type, such as {robot_file_line(option, suitable)}"
+        return f"name one of that type, such as `{option}` {suitable}"
 
     def _remedy(self) -> str:
-        if any(topic.msgtype == JOINT_STATE for topic in self.counts):
-            return f"name the topic of the joint states{self._line((JOINT_STATE,))}"
+        names = sorted(
+            topic.name
+            for topic in self.counts
+            if topic.msgtype == JOINT_STATE and not is_truth(topic.name)
+        )
+        if names:
+            return (
+                "name the topic of the joint states by `joint_topic`, or write "
+                f"{robot_file_line('joint_topic', names[0])}"
+            )
         if any(ENCODED in topic.msgtype for topic in self.counts):
             return "convert its messages to ROS 2 messages in CDR"
         return "record the joint states as well"

@@ -82,7 +82,7 @@ class Payload:
                 "its place in the link's axes (m), such as tool0,2.5,0,0,0.06",
                 "E122",
             )
-        frame = model.frame(name)
+        frame = model.frame(name, "payload")
         if model.links[frame.link].virtual:
             raise ModelError(
                 f"`payload`: {model.source} has no inertia at {name!r}; name another link", "E122"

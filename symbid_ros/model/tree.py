@@ -320,10 +320,11 @@ class RobotModel:
         joints = ("N" if joint.kind == "prismatic" else "Nm" for joint in self.joints)
         return (*(base if self.floating else []), *joints)
 
-    def frame(self, name: str) -> Frame:
+    def frame(self, name: str, option: str = "") -> Frame:
         """Return a frame by its name. The name of a link means the link's own frame.
 
-        Of ``FRAME@LINK``, for a wrench in FRAME on LINK, it is FRAME.
+        Of ``FRAME@LINK``, for a wrench in FRAME on LINK, it is FRAME. An error names the option
+        that gives the name, or else the messages of a sensor.
 
         Raises
         ------
@@ -338,6 +339,11 @@ class RobotModel:
         if name in self.link_names:
             return Frame(name, self.link_names.index(name), np.eye(3), np.zeros(3))
         known = ", ".join([*(frame.name for frame in self.frames), *self.link_names])
+        if option:
+            raise ModelError(
+                f"`{option}`: {self.source} has no frame or link {name!r}; give one of {known}",
+                "E116",
+            )
         raise ModelError(
             f"{self.source}: no frame or link {name!r}; add it to the model or remap the "
             f"header.frame_id to one of: {known}",

@@ -96,7 +96,7 @@ def _insert(
     bodies: list[Body], model: RobotModel, frame: str, link: str, *, is_reversed: bool
 ) -> None:
     """Put the joints of one sensor before the first body beyond it."""
-    mount = model.frame(frame)
+    mount = model.frame(frame, "wrist_sensor")
     names = [body.name for body in bodies]
     if not link:
         is_fixed_link = frame in names and not bodies[names.index(frame)].joints

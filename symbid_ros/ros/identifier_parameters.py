@@ -138,7 +138,7 @@ def log_options(values: Mapping[str, Any]) -> LogOptions:
     given = _without_unset(values)
     for name in ("imu_topic", "wrench_topic"):
         given[name] = given_texts(values[name]) or given_texts(values[f"{name}s"])
-    return options_from(LogOptions, given)
+    return options_from(LogOptions, given).of_any_log()
 
 
 def given_texts(texts: Sequence[str]) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from symbid_ros.identification.result_files import check_output, export_urdf, wr
 from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.learning.candidate import RobotUncertainty, candidate_model, robot_uncertainty
 from symbid_ros.learning.model_file import read_model, write_model
+from symbid_ros.messages.name_check import ModelNames, check_model_names
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
@@ -93,6 +94,8 @@ class OnlineIdentifier:
         model = load_model(*model_of(values))
         options = identify_options(values)
         topics = TopicSelection.of(log_options(values))
+        names = ModelNames.of(model)
+        check_model_names(topics.mapping, names, has_poses=bool(topics.poses))
         self._initial_state = InitialState.of(model, options, _read_tares(options, model, topics))
         self._parameters = self._initial_state.problem.parameters
         memory: float = values["memory"]

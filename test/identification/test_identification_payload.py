@@ -87,6 +87,7 @@ def test_invalid_payloads_are_refused(robot, text):
     with pytest.raises(ModelError) as refusal:
         Payload.parse(text.format(robot.link_names[-1]), robot)
     assert refusal.value.code in ("E122", "E116")
+    assert "`payload`: " in str(refusal.value)
 
 
 def test_a_live_run_has_one_payload(robot, text):

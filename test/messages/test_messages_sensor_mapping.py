@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros import LogOptions, load_bag
 from symbid_ros.errors import ModelError, OptionError
+from symbid_ros.messages.name_check import ModelNames, check_model_names
 from symbid_ros.messages.sensor_mapping import SAME, HeldJoints, SensorMapping
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
@@ -173,6 +174,70 @@ def test_an_invalid_entry_is_named_with_an_example(option: str, entry: str) -> N
 def test_a_repeated_name_is_refused() -> None:
     with pytest.raises(OptionError, match="repeats"):
         TopicSelection.of(LogOptions(hold_joint=("a:=1", "a:=2")))
+
+
+UNKNOWN = [
+    ("rename_joint", "nosuch:={joint}"),
+    ("rename_joint", "{joint}:=nosuch"),
+    ("hold_joint", "nosuch:=0.5"),
+    ("effort_scale", "nosuch:=2"),
+    ("flip_wrench", "nosuch"),
+    ("rotate_imu", "nosuch:=0,0,0"),
+    ("rename_frame", "nosuch:={imu}"),
+    ("rename_frame", "{imu}:=nosuch"),
+    ("frame_prefix", "nosuch/"),
+    ("pose_frame", "nosuch"),
+    ("plate_link", "/left_foot/wrench:=nosuch"),
+    ("plate_link", "/nosuch:={left}"),
+]
+# Of these names, another log of the robot may have some.
+OF_LOGS = [one for one in UNKNOWN if one[1].startswith(("nosuch:={", "nosuch/", "/nosuch"))]
+
+
+def with_option(option: str, entry: str, names: dict[str, str]) -> LogOptions:
+    entry = entry.format(**names)
+    is_text = option in ("frame_prefix", "pose_frame")
+    return LogOptions(**{option: entry if is_text else (entry,)})
+
+
+@pytest.mark.parametrize(("option", "entry"), UNKNOWN)
+def test_an_unknown_name_is_refused_with_the_known_ones(bag, model, names, option, entry) -> None:
+    log = load_bag(bag, model, with_option(option, entry, names))
+    with pytest.raises(OptionError, match=f"^`{option}`: .* has (no|a) .*nosuch") as refused:
+        list(log.slices(warn=False))
+    known = [names["joint"], names["imu"], "/left_foot/wrench"]
+    assert any(name in str(refused.value) for name in known)
+
+
+@pytest.mark.parametrize(("option", "entry"), OF_LOGS)
+def test_a_robot_file_may_name_what_a_log_lacks(bag, model, names, caplog, option, entry) -> None:
+    options = with_option(option, entry, names)
+    log = load_bag(bag, model, replace(options, of_robot=(option,)))
+    for _ in range(2):
+        list(log.slices(warn=False))
+    (record,) = caplog.records
+    assert record.getMessage().startswith(f"`{option}`: ")
+
+
+def test_a_joint_of_the_model_need_not_be_recorded(bag, model, names, caplog) -> None:
+    (actual,) = load_bag(bag, model, effort_scale=(f"{names['joint']}:=2",)).slices(warn=False)
+    assert actual.streams is not None
+    options = LogOptions(hold_joint=(f"{names['joint']}:=0.3",))
+    with pytest.raises(OptionError, match=r"`hold_joint` .* has no effect"):
+        load_bag(bag, model, options).streams()
+    load_bag(bag, model, options.of_any_log()).streams()  # another log may lack it
+    assert not caplog.records
+
+
+def test_live_options_name_the_models_joints_and_frames(model, names) -> None:
+    known = ModelNames.of(model)
+    live = [one for one in UNKNOWN if one not in OF_LOGS]
+    for option, entry in live:
+        mapping = SensorMapping.of(with_option(option, entry, names))
+        with pytest.raises(OptionError, match=f"`{option}`: .* has no .*'nosuch'"):
+            check_model_names(mapping, known, has_poses=False)
+    world = SensorMapping.of(LogOptions(flip_wrench=("world",)))
+    check_model_names(world, known, has_poses=True)
 
 
 @given(st.tuples(*[st.floats(-180, 180)] * 3))

@@ -2,8 +2,10 @@
 
 import pytest
 
+from symbid_ros.errors import BagError
+from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector
-from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
+from symbid_ros.messages.types import IMU, JOINT_STATE, ODOMETRY, WRENCH
 
 TOPICS = {
     "/joint_states": JOINT_STATE,
@@ -65,3 +67,24 @@ def test_selected_topics_are_those_that_may_be_selected() -> None:
     assert set(selected.all) == {topic for topic in counts if selector.wants(topic)}
     assert selected.clock.name == "/joint_states"
     assert [topic.name for topic in selected.imus] == ["/camera/imu", "/imu/data"]
+
+
+@pytest.mark.parametrize(
+    ("options", "advice"),
+    [
+        ({"drive_topic": ("/nosuch",)}, "such as `drive_topic` /camera/imu$"),
+        ({"pose_topic": ("/nosuch",)}, "or leave `pose_topic` out$"),
+        (
+            {"imu_topic": ("/tf",), "of_robot": ("imu_topic",)},
+            r"imu_topic: .*/camera/imu.* in robot.yaml$",
+        ),
+    ],
+)
+def test_an_unknown_topic_is_answered_with_its_option(options, advice) -> None:
+    selector = TopicSelector("log", TopicSelection.of(LogOptions(**options)))
+    counts = {Topic(name, msgtype): 1 for name, msgtype in TOPICS.items()}
+    truth = Topic("/ground_truth/odom", ODOMETRY)
+    selector.counts.update({**counts, truth: 1})
+    del selector.counts[Topic("/arm/joint_states", JOINT_STATE)]
+    with pytest.raises(BagError, match=advice):
+        selector.select()

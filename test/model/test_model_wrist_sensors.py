@@ -116,7 +116,7 @@ def test_exports_hold_the_robot_as_one_tree_and_the_user_file_its_own_links(arm,
 @pytest.mark.parametrize(
     ("sensors", "message"),
     [
-        (["nothing"], "no frame or link 'nothing'"),
+        (["nothing"], "`wrist_sensor`: .* no frame or link 'nothing'"),
         (["ft:upper"], "link upper is not attached to hand"),
         (["base:base"], "not attached"),
         (["ft", "ft:ft"], "given twice"),
