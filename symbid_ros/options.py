@@ -7,7 +7,7 @@ are generated from these fields, so they cannot drift apart.
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import NoneType, UnionType
@@ -25,6 +25,7 @@ def option(
     unit: str = "",
     minimum: float | None = None,
     maximum: float | None = None,
+    positive: bool = False,
     group: str = "",
     metavar: str = "",
     unset: str = "",
@@ -42,6 +43,8 @@ def option(
         SI unit or ``%``.
     minimum, maximum : float, optional
         Inclusive range of a number.
+    positive : bool
+        Whether a number must be finite and above zero.
     group : str
         Heading under which a command lists it.
     metavar : str
@@ -56,6 +59,7 @@ def option(
         "unit": unit,
         "minimum": minimum,
         "maximum": maximum,
+        "positive": positive,
         "group": group,
         "metavar": metavar,
         "unset": unset,
@@ -81,7 +85,7 @@ class Option:
         Whether any number of values may be given.
     length : int
         Number of values of a fixed-length tuple; 0 for other kinds.
-    help, unit, group, metavar, unset, live, minimum, maximum
+    help, unit, group, metavar, unset, live, minimum, maximum, positive
         As in :func:`option`.
     """
 
@@ -95,6 +99,7 @@ class Option:
     unit: str
     minimum: float | None
     maximum: float | None
+    positive: bool
     group: str
     metavar: str
     unset: str
@@ -136,7 +141,8 @@ class Option:
                 raise self._error(value)
             low = -math.inf if self.minimum is None else self.minimum
             high = math.inf if self.maximum is None else self.maximum
-            if not low <= value <= high:  # refuses NaN
+            is_usable = 0 < value < math.inf if self.positive else True
+            if not (low <= value <= high and is_usable):  # refuses NaN
                 raise self._error(value)
             return self.kind(value)
         if self.kind is bool and not isinstance(value, bool):
@@ -157,7 +163,11 @@ class Option:
             words = f"{self.length} numbers"
         bounds = [
             f"{word} {bound:g}"
-            for word, bound in (("at least", self.minimum), ("at most", self.maximum))
+            for word, bound in (
+                ("above", 0.0 if self.positive else None),
+                ("at least", self.minimum),
+                ("at most", self.maximum),
+            )
             if bound is not None
         ]
         unit = f" ({self.unit})" if self.unit else ""
@@ -185,6 +195,28 @@ def check_values(options: Any) -> None:
     """
     for each in options_of(type(options)):
         object.__setattr__(options, each.name, each.value_of(getattr(options, each.name)))
+
+
+def refuse_unused(options: Any, reason: str, names: Collection[str] | None = None) -> None:
+    """Refuse options that have no effect, given why not.
+
+    Parameters
+    ----------
+    options : dataclass of options
+    reason : str
+        Follows "has no effect", and says what to do.
+    names : collection of str, optional
+        Options without effect; by default all of them.
+
+    Raises
+    ------
+    OptionError
+        When one of them differs from its default.
+    """
+    for each in options_of(type(options)):
+        is_unused = names is None or each.name in names
+        if is_unused and getattr(options, each.name) != each.default:
+            raise OptionError(f"`{each.name}` has no effect {reason}", "E503")
 
 
 def spelled(message: str, spelling: Callable[[str], str]) -> str:

@@ -150,7 +150,7 @@ def read_limits(file: Path, joints: Mapping[str, Joint]) -> dict[str, dict[str, 
     Raises
     ------
     OptionError
-        When the file cannot be read, or names an unknown joint or limit.
+        When the file cannot be read, names an unknown joint or limit, or has a range without width.
     """
     try:
         content = load_yaml(file)
@@ -196,6 +196,15 @@ def _stated(file: Path, joint: str, entry: Any) -> dict[str, float]:
             raise OptionError(
                 f"{file}: {key} of joint {joint} is {value!r}; give a finite number", "E580"
             )
-        if entry.get(switch, True):
-            found[KEYS[key]] = float(value)
+        if not entry.get(switch, True):
+            continue
+        if "position" not in key and value <= 0:
+            raise OptionError(
+                f"{file}: {key} of joint {joint} is {value!r}; give a number above 0", "E580"
+            )
+        found[KEYS[key]] = float(value)
+    if found.get("lower", -np.inf) >= found.get("upper", np.inf):
+        raise OptionError(
+            f"{file}: min_position of joint {joint} is not below max_position; correct them", "E580"
+        )
     return found

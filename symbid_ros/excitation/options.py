@@ -22,10 +22,14 @@ class ExciteOptions(MountingOptions):
     """
 
     seconds: float = option(
-        40.0, "Length of the recording, rounded up to whole periods.", unit="s", minimum=1.0
+        40.0,
+        "Length of the recording, rounded up to whole periods.",
+        unit="s",
+        minimum=1.0,
+        maximum=3600.0,
     )
     period: float = option(
-        10.0, "Period of the trajectory, which is repeated.", unit="s", minimum=0.5
+        10.0, "Period of the trajectory, which is repeated.", unit="s", minimum=0.5, maximum=600.0
     )
     harmonics: int = option(
         5, "Number of harmonics of the period in each joint.", minimum=2, maximum=50
@@ -98,6 +102,8 @@ class ExciteOptions(MountingOptions):
         None,
         "Height of a floor or table above the base's origin; negative below it.",
         unit="m",
+        minimum=-100.0,
+        maximum=100.0,
         group=LIMITS,
         unset="no floor",
     )

@@ -8,11 +8,12 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.excitation.objective import MotionSpace
-from symbid_ros.excitation.options import ExciteOptions
+from symbid_ros.excitation.options import STANDING, ExciteOptions
 from symbid_ros.excitation.problem import ExcitationProblem, fixed_base_problem
 from symbid_ros.excitation.standing import standing_problem
 from symbid_ros.excitation.standing_motion import StandingMotion
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.options import options_of, refuse_unused
 from symbid_ros.simulation.joint_sensors import BaseSensorOptions, JointSensorOptions
 
 
@@ -33,6 +34,10 @@ def excitation_problem(
     robot = robot.with_gravity(options.gravity)
     if options.feet:
         return standing_problem(robot, options, sensors, base_sensors or BaseSensorOptions())
+    # A robot file may name contacts.
+    standing = {one.name for one in options_of(ExciteOptions) if one.group == STANDING}
+    refuse_unused(options, "without `feet`; leave it out", standing - {"contact"})
+    refuse_unused(base_sensors or BaseSensorOptions(), "without `feet`; leave it out")
     return fixed_base_problem(robot, options, sensors)
 
 

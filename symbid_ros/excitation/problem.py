@@ -174,6 +174,12 @@ def known_before(
     robot.require_mass()
     if options.information is not None:
         folder = options.information
+        if not folder.exists():
+            raise OptionError(
+                f"`information`: {folder} does not exist; give the folder of an identification, or "
+                "its information.npz",
+                "E401",
+            )
         known = load_estimated_model(folder if folder.is_dir() else folder.parent, robot)
         unknown = set(known.parameters.terms) - set(DESIGN_TERMS)
         found = known.parameters

@@ -90,7 +90,7 @@ def _posture(robot: RobotModel, feet: tuple[Foot, ...], options: ExciteOptions) 
         for item in split_names(options.posture):
             name, _, value = item.partition("=")
             try:
-                position[robot.joint_names.index(name.strip())] = float(value)
+                position[robot.joint_names.index(name.strip())] = _finite(value)
             except ValueError:
                 raise OptionError(
                     f"`posture`: {item!r} is not JOINT=VALUE; joints are "
@@ -112,6 +112,14 @@ def _posture(robot: RobotModel, feet: tuple[Foot, ...], options: ExciteOptions) 
         bent = KNEE if knee.lower + knee.upper > 0 else -KNEE
         position[leg[1:]] = -0.5 * bent, bent
     return position
+
+
+def _finite(text: str) -> float:
+    """Return a finite number; raise a ValueError for anything else."""
+    number = float(text)
+    if not np.isfinite(number):
+        raise ValueError(text)
+    return number
 
 
 def _keyframe(robot: RobotModel) -> FloatArray | None:

@@ -1,6 +1,7 @@
 """The design of a trajectory: Fourier series, gradients, limits and expected deviations."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio
@@ -177,6 +178,23 @@ def test_a_limits_file_replaces_limits_of_the_model(arm, tmp_path):
     assert error.value.code == "E580"
 
 
+@pytest.mark.parametrize(
+    "limit", ["max_velocity: -1", "max_effort: 0", "min_position: 1, max_position: -1"]
+)
+def test_an_impossible_limit_is_refused(arm, tmp_path, limit):
+    file = tmp_path / "joint_limits.yaml"
+    file.write_text(f"joint_limits:\n  elbow_joint: {{{limit}}}\n")
+    with pytest.raises(OptionError, match=r"of joint elbow_joint") as error:
+        joint_limits({joint.name: joint for joint in arm.joints}, {}, file)
+    assert error.value.code == "E580"
+
+
+def test_lengths_have_upper_limits():
+    for given in ({"seconds": 1e9}, {"seconds": float("inf")}, {"period": 1e9}):
+        with pytest.raises(OptionError, match="at most"):
+            ExciteOptions(**given)
+
+
 def test_a_joint_without_limits_gets_stated_defaults(arm):
     joint = replace(arm.joints[2], lower=-np.inf, upper=np.inf, speed=np.inf, effort=np.inf)
     limits = joint_limits({"elbow_joint": joint}, {})
@@ -215,6 +233,9 @@ def test_efforts_are_those_of_an_arm_on_its_wall(arm):
         ("floating", {}, "E581"),
         ("floating", {"gravity": (1.0, 0.0, 0.0)}, "E503"),
         ("fixed", {"joints": ("elbow",)}, "E583"),
+        ("fixed", {"posture": ("elbow_joint=1",)}, "E503"),
+        ("fixed", {"ground_friction": 0.3}, "E503"),
+        ("fixed", {"information": Path("nosuch")}, "E401"),
         ("fixed", {"joint_terms": ("stribeck",)}, "E501"),
     ],
 )

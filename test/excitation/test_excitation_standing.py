@@ -232,7 +232,9 @@ def test_feet_without_sensors_leave_rows_without_their_forces(solo):
         ("solo", {"feet": POINTS[:2]}, "E921"),
         ("solo", {"feet": POINTS, "posture": ("FL_KFE=-1",)}, "E921"),
         ("symbitron", {"feet": SOLES, "posture": ("R_knee=1",)}, "E922"),
+        ("symbitron", {"feet": SOLES, "posture": ("R_kfe=nan",)}, "E922"),
         ("symbitron", {"feet": ("imu_link",)}, "E923"),
+        ("symbitron", {"feet": ("nosuch",)}, "E116"),
     ],
 )
 def test_a_stance_that_is_none_is_refused(request, robot, options, code):
