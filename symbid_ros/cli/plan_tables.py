@@ -13,7 +13,7 @@ from symbid_ros.excitation.page import closest_links, contacts_used
 from symbid_ros.excitation.plan import ExcitationPlan
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.options import spelled
-from symbid_ros.report.formatting import significant
+from symbid_ros.report.formatting import counted, significant
 
 MOMENTS = 4  # number of a link's first parameters: mass and first moments
 
@@ -27,7 +27,7 @@ def print_plan(plan: ExcitationPlan, out: Path) -> None:
         print_term_deviations(console, plan)
     design = plan.problem.design
     lines = [
-        f"{design.seconds:g} s, {design.seconds / design.series.period:g} periods of "
+        f"{design.seconds:g} s, {counted(design.seconds / design.series.period, 'period')} of "
         f"{design.series.period:g} s, after {plan.approach:g} s from "
         f"{'the stance' if plan.contact_usage else 'any posture'} to the start",
         f"{int(plan.determined.sum())} of {len(plan.std)} parameters expected to be determined, "

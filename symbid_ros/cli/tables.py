@@ -25,7 +25,7 @@ from symbid_ros.identification.validation import (
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.options import spelled
 from symbid_ros.report.content import METRICS, MethodResult, best_labels
-from symbid_ros.report.formatting import significant
+from symbid_ros.report.formatting import counted, significant
 
 ERRORS = ("measured", "before", "after"), ("before %", "after %", "in 90 %")
 SHOWN = 20  # number of lost ranges to print; --json gives all
@@ -227,7 +227,7 @@ def print_estimate(estimate: Estimate, out: Path, files: Sequence[str]) -> None:
     console = Console(highlight=False)
     # Rich does not wrap these lines, so that a pipe receives them complete.
     for alarm in estimate.verdict.alarms if estimate.verdict is not None else ():
-        console.print(Text(f"alarm: {alarm}", style="bold red"), soft_wrap=True)
+        console.print(Text(f"alarm: {spelled(alarm, flag)}", style="bold red"), soft_wrap=True)
     print_links(console, estimate)
     for line in [*_lines(estimate), written_files(out, files)]:
         console.print(line, soft_wrap=True)
@@ -265,7 +265,7 @@ def _lines(estimate: Estimate) -> list[RenderableType]:
     windows = ""
     if verdict is not None and verdict.window > 0:
         windows = f", averaged over windows of {1e3 * verdict.window:g} ms"
-    cut = "" if estimate.rank is None else f", {estimate.rank} singular values"
+    cut = "" if estimate.rank is None else f", {counted(estimate.rank, 'singular value')}"
     lines: list[RenderableType] = [
         f"{estimate.samples} rows of each coordinate{windows}{cut}, condition "
         f"{estimate.condition:.3g}"
@@ -305,11 +305,10 @@ def _verdict_lines(estimate: Estimate, verdict: Verdict) -> list[RenderableType]
         if not verdict.is_coloured:  # else an alarm says so
             lines.append(Text(f"{what}, apart from noise"))
     if scale := verdict.describe_mass_scale():
-        lines.append(Text(scale))
+        lines.append(Text(spelled(scale, flag)))
     if not verdict.alarms:
         return [*lines, Text("no alarm", style="green")]
-    count = len(verdict.alarms)
-    alarms = "1 alarm" if count == 1 else f"{count} alarms"
+    alarms = counted(len(verdict.alarms), "alarm")
     advice = (
         "use this model for predictions, not its single parameters"
         if estimate.predicts_better

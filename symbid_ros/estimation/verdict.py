@@ -171,7 +171,7 @@ class Verdict:
             return ""
         return (
             f"mass scale ± {100 * self.mass_scale:.2g} %, not checkable without a weighing: give "
-            "total_mass, or the deviation of the sensors' common gain as force_scale_std"
+            "`total_mass`, or the deviation of the sensors' common gain as `force_scale_std`"
         )
 
 

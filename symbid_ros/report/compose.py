@@ -33,6 +33,7 @@ from symbid_ros.report.content import (
     ReportContent,
     TruncationChoice,
 )
+from symbid_ros.report.formatting import counted
 from symbid_ros.report.robot_scene import robot_scene
 from symbid_ros.report.saved_results import ReportedResult
 from symbid_ros.signals.log import Log
@@ -256,7 +257,7 @@ def describe_log(log: Log) -> dict[str, str]:
 
 def describe_estimate(estimate: Estimate) -> dict[str, str]:
     """Describe the rows, inputs and software of an identification."""
-    rank = "" if estimate.rank is None else f"{estimate.rank} singular values, "
+    rank = "" if estimate.rank is None else f"{counted(estimate.rank, 'singular value')}, "
     return {
         "Rows": f"{estimate.samples} of each coordinate, {rank}condition {estimate.condition:.3g}",
         "Inputs": ", ".join(estimate.inputs),

@@ -6,6 +6,11 @@ from collections.abc import Iterable
 ABSENT = "—"
 
 
+def counted(number: float, noun: str) -> str:
+    """Return a number with its noun, such as ``1 alarm`` or ``2 alarms``."""
+    return f"{number:g} {noun}" if number == 1 else f"{number:g} {noun}s"
+
+
 def significant(value: float | None, digits: int = 3) -> str:
     """Format ``value`` with ``digits`` significant digits, or a dash for None, NaN or infinity.
 
