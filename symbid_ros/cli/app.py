@@ -4,6 +4,7 @@ import inspect
 import io
 import logging
 import os
+import re
 import sys
 from collections.abc import Callable
 from contextlib import redirect_stdout
@@ -125,8 +126,7 @@ def run() -> int:
     except typer.exceptions.TyperException as error:
         if not error.format_message():  # no arguments: the help has been printed
             return USAGE
-        command = getattr(getattr(error, "ctx", None), "command_path", "symbid")
-        message = f"{error.format_message().rstrip('.')}; see `{command} --help`"
+        message = f"{_plain(error.format_message()).rstrip('.')}; see `{_named_command()} --help`"
     text = " ".join(message.split())
     console.print(f"symbid: {text}", style="red", markup=False, highlight=False)
     return USAGE
@@ -159,6 +159,25 @@ def _output() -> TextIO | None:
     return io.TextIOWrapper(
         binary, found.encoding, found.errors, line_buffering=found.line_buffering
     )
+
+
+def _plain(message: str) -> str:
+    """Return a message about a value without the terms of the library that validates it."""
+    unparsed = r"Input should be a valid (\w+), unable to parse string as an? \w+"
+    message = re.sub(unparsed, r"it is not a valid \1", message)
+    return message.replace("Value error, ", "").replace("Input should", "it should")
+
+
+def _named_command() -> str:
+    """Return the command and subcommands that the user named."""
+    command: Any = typer.main.get_command(app)
+    names = ["symbid"]
+    for word in sys.argv[1:]:
+        command = getattr(command, "commands", {}).get(word)
+        if command is None:
+            break
+        names.append(word)
+    return " ".join(names)
 
 
 class _Formatter(logging.Formatter):

@@ -22,6 +22,7 @@ from symbid_ros.cli.verbosity import progress_shown
 from symbid_ros.errors import EstimateError, PriorError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.options import options_of, refuse_unused
 
 
 def prior(
@@ -257,6 +258,9 @@ def report(
         raise EstimateError("--truth needs a bag with ground truth to predict; add --bag", "E556")
     if realistic and truth is None:
         raise EstimateError("--realistic needs the true model to compare with; add --truth", "E556")
+    if not bag:
+        given = {one.name for one in options_of(LogOptions)} - {*log.of_robot}
+        refuse_unused(log, "without --bag; give both", given)
     folders = list(dict.fromkeys(folders))
     out = folders[-1] / "report.html" if out is None else out
     check_output_file(out, is_page)

@@ -160,6 +160,8 @@ def _parameter(option: Option) -> inspect.Parameter:
 
 def _help(option: Option) -> str:
     words = [spelled(option.help, flag)]
+    if option.positive:
+        words.append("Above 0.")
     if option.is_sequence:
         words.append("Repeatable.")
     if option.unset:

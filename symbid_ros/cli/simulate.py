@@ -10,7 +10,7 @@ from rich.progress import Progress
 from symbid_ros.cli.flags import BaseKind, ModelOrRobot, Robot, require_model, with_flags
 from symbid_ros.cli.verbosity import shows_progress
 from symbid_ros.errors import OptionError
-from symbid_ros.options import options_of
+from symbid_ros.options import options_of, refuse_unused
 from symbid_ros.shutdown import stop_on_signals
 from symbid_ros.simulation.joint_sensors import BaseSensorOptions, JointSensorOptions
 from symbid_ros.simulation.options import SimulateOptions, TruthOptions
@@ -90,7 +90,7 @@ def simulate(
 
     simulator: Simulator | TrackingSimulator | StandingSimulator
     if trajectory is None:
-        _require_scenario(model)
+        _require_scenario(model, truth, sensors, base_sensors)
         simulator = _scenario_simulator(options)
     else:
         _require_tracking(options)
@@ -124,34 +124,43 @@ def simulate(
         typer.echo(f"{true_model}: the true robot, for `symbid evaluate`")
 
 
-def _require_scenario(model: Path | None) -> None:
+def _require_scenario(model: Path | None, *others: object) -> None:
+    """Refuse options that have no effect on the robot of a scenario."""
     if model is not None:
         raise OptionError(
             "`model` has no effect without `trajectory`: scenarios are those of the Symbitron; "
             "give both",
             "E503",
         )
+    for options in others:
+        refuse_unused(options, "without `trajectory`; leave it out")
 
 
 def _require_tracking(options: SimulateOptions) -> None:
     """Refuse options of scenarios that have no effect on a robot that follows a trajectory."""
-    unused = SimulateOptions(
-        noise_seed=options.noise_seed, ideal=options.ideal, friction=options.friction
-    )
-    for each in options_of(SimulateOptions):
-        if getattr(options, each.name) != getattr(unused, each.name):
-            raise OptionError(
-                f"`{each.name}` has no effect with `trajectory`; leave it out", "E503"
-            )
+    used = {"noise_seed", "ideal", "friction"}
+    unused = {each.name for each in options_of(SimulateOptions)} - used
+    refuse_unused(options, "with `trajectory`; leave it out", unused)
 
 
 def _scenario_simulator(options: SimulateOptions) -> "Simulator":
     from symbid_ros.simulation.simulator import PayloadFactory, Simulator
 
+    if not options.payload_mass:
+        of_payload = "payload_link", "payload_position", "payload_time"
+        refuse_unused(options, "without `payload_mass`; give both", of_payload)
     payload = PayloadFactory().payload(
         options.payload_link, options.payload_mass, options.payload_position
     )
-    return Simulator(options, payload=payload)
+    simulator = Simulator(options, payload=payload)
+    seconds = simulator.steps * simulator.period_ns * 1e-9
+    if options.payload_time >= seconds:
+        raise OptionError(
+            f"`payload_time` {options.payload_time:g} s is after the end of the motion at "
+            f"{seconds:.1f} s; give an earlier one, or more `moves`",
+            "E503",
+        )
+    return simulator
 
 
 def _tracking_simulator(
@@ -167,6 +176,8 @@ def _tracking_simulator(
 
     seed = None if options.ideal else options.noise_seed
     sensors, base_sensors = both
+    if not robot.floating:
+        refuse_unused(base_sensors, "on a robot with a fixed base; leave it out")
     if robot.floating:
         return standing_simulator(
             robot,

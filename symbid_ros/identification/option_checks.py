@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from symbid_ros.choices import GAUSSIAN, KINEMATIC_ERRORS, SENSOR_ERROR_KINDS, TERMS
 from symbid_ros.errors import OptionError
+from symbid_ros.options import refuse_unused
 
 if TYPE_CHECKING:
     from symbid_ros.identification.options import IdentifyOptions
@@ -21,8 +22,6 @@ def check_options(options: "IdentifyOptions") -> None:
 
 
 def _check_rows(options: "IdentifyOptions") -> None:
-    if options.window is not None and options.window <= 0:
-        raise OptionError(f"`window` must be positive, got {options.window:g} s", "E501")
     if options.row_filter == "butterworth":
         if options.window is not None:
             raise OptionError("butterworth has no `window`; give `cutoff` instead", "E503")
@@ -128,6 +127,8 @@ def _check_method(options: "IdentifyOptions") -> None:
         raise OptionError(
             "`rank` and `choose_truncation` both choose the singular values; give one", "E502"
         )
+    if options.choose_truncation is None:
+        refuse_unused(options, "without `choose_truncation`; give both", ("select_by",))
     if options.method in GAUSSIAN:
         unused = options.rank, options.choose_truncation, options.sensor_std
         if any(one is not None for one in unused):

@@ -77,15 +77,16 @@ class IdentifyOptions(RobotOptions):
     )
     prior_percent: float | None = option(
         None,
-        "Standard deviation of the model's values, in percent of each value.",
+        "Half-width of the uniform prior of the model's values, in percent of each value.",
         unit="%",
-        minimum=0.0,
+        positive=True,
         group=KNOWN,
     )
     prior_absolute: float | None = option(
         None,
-        "Standard deviation of the model's values, the same number in SI units for each.",
-        minimum=0.0,
+        "Half-width of the uniform prior of the model's values, the same number in SI units for "
+        "each.",
+        positive=True,
         group=KNOWN,
     )
     keep_prior: bool = option(
@@ -95,13 +96,13 @@ class IdentifyOptions(RobotOptions):
         group=KNOWN,
     )
     total_mass: float | None = option(
-        None, "Weighed mass of the whole robot.", unit="kg", minimum=0.0, group=KNOWN
+        None, "Weighed mass of the whole robot.", unit="kg", positive=True, group=KNOWN
     )
     total_mass_std: float | None = option(
         None,
         "Standard deviation of `total_mass`.",
         unit="kg",
-        minimum=0.0,
+        positive=True,
         group=KNOWN,
         unset="0.05",
     )
@@ -119,7 +120,7 @@ class IdentifyOptions(RobotOptions):
         None,
         "How far left and right links may differ, in standard deviations of the prior, such as "
         "0.1.",
-        minimum=0.0,
+        positive=True,
         group=KNOWN,
         unset="left and right are independent",
     )
@@ -208,7 +209,7 @@ class IdentifyOptions(RobotOptions):
         None,
         "Length of the windows.",
         unit="s",
-        minimum=0.0,
+        positive=True,
         group=ROWS,
         unset="weak: the most informative of 0.081, 0.161 and 0.321, longer below 75 Hz; "
         "savitzky_golay: 0.081",

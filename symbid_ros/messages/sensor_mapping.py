@@ -17,6 +17,7 @@ from symbid_ros.signals.streams import ImuStream, JointStream, WrenchStream
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
+LARGEST = 1e9  # of a number in an entry; of factors also of their reciprocal
 ASSIGN = ":="  # as in ROS remapping rules
 
 
@@ -233,11 +234,13 @@ def _finite(text: str) -> float | None:
         number = float(text)
     except ValueError:
         return None
-    return number if np.isfinite(number) else None
+    return number if abs(number) <= LARGEST else None  # refuses NaN
 
 
 def _factor(text: str) -> float | None:
-    return _finite(text) or None  # zero would remove the efforts
+    factor = _finite(text)
+    # Zero would remove the efforts.
+    return factor if factor is not None and abs(factor) >= 1 / LARGEST else None
 
 
 def _rotation(text: str) -> FloatArray | None:

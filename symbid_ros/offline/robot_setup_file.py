@@ -113,7 +113,7 @@ DESCRIPTIONS = {
     "coupling": "Sums of joints with which one motor turns.",
     "ripple": "JOINT:PERIODS in a turn of torques that repeat with the joint's angle.",
     "sensor_errors": "Sensor errors to identify.",
-    "prior_percent": "Standard deviation of the model's values in percent of each value.",
+    "prior_percent": "Half-width of the uniform prior of the model's values, in percent of each.",
     "total_mass": "Weighed mass of the robot in kg. It sets the scale of all masses.",
     "joint_terms": "Friction, armature and offsets: auto, none, or names of terms.",
 }

@@ -116,6 +116,9 @@ def test_a_result_of_an_earlier_version_says_what_is_missing(
     page = Page((result / "report.html").read_text())
     assert "missing" in page.attributes("id")
     assert "forces" not in page.attributes("id")
+    unused = symbid_here("report", result, "--start", 1)
+    assert unused.returncode == 2
+    assert "--start has no effect without --bag" in unused.stderr
     ended = symbid_here("report", result, "--bag", short)
     assert (ended.returncode, ended.stderr) == (0, "")
     page = Page((result / "report.html").read_text())

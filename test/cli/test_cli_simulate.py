@@ -76,6 +76,16 @@ def test_payload_is_carried_from_its_time_on(symbid_here, tmp_path):
         (("--error-seed", "-1"), "--error-seed"),
         (("--scenario", "dance"), "'dance' is not one of"),
         (("--payload-mass", "2", "--payload-link", "tail"), "no link 'tail' for a payload"),
+        (("--payload-link", "R_foot"), "--payload-link has no effect without --payload-mass"),
+        (("--payload-time", "3"), "--payload-time has no effect without --payload-mass"),
+        (
+            ("--payload-mass", "1", "--payload-time", "1e6", "--moves", "1"),
+            "--payload-time 1e+06 s is after the end of the motion",
+        ),
+        (("--rate", "100"), "--rate has no effect without --trajectory"),
+        (("--truth-percent", "50"), "--truth-percent has no effect without --trajectory"),
+        (("--gyro-noise", "0.5"), "--gyro-noise has no effect without --trajectory"),
+        (("--payload-position", "1", "2"), "3 arguments; see `symbid simulate --help`"),
         (("--payload-mass", "inf", "--payload-link", "base_link"), "--payload-mass"),
     ],
 )

@@ -161,6 +161,8 @@ def test_joints_of_another_robot_are_refused_not_held(bag, model) -> None:
         ("rename_frame", "a:="),
         ("effort_scale", "a:=0"),
         ("effort_scale", "a:=nan"),
+        ("effort_scale", "a:=1e300"),
+        ("effort_scale", "a:=1e-300"),
         ("hold_joint", "a:=one"),
         ("rotate_imu", "a:=1,2"),
         ("rotate_imu", "a:=1,2,inf"),
