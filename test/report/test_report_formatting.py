@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from symbid_ros.report.formatting import fixed, shared_decimals, significant
+from symbid_ros.report.formatting import counted, fixed, shared_decimals, significant
 from symbid_ros.report.plotting import downsample
 
 
@@ -59,3 +59,9 @@ class TestDownsample:
     def test_returns_a_short_series_unchanged(self) -> None:
         value = np.array([3.0, 1.0, 2.0])
         np.testing.assert_array_equal(downsample(np.arange(3.0), value, 10)[1], value)
+
+
+def test_one_thing_is_singular() -> None:
+    assert [counted(n, "period") for n in (0, 1, 1.0, 2.5)] == [
+        *("0 periods", "1 period", "1 period", "2.5 periods"),
+    ]
