@@ -94,12 +94,15 @@ def standing_simulator(
     SimulationError
         When the plan of the trajectory cannot be read or is not that of a standing robot.
     """
-    plan = _read_plan(path.parent if path.suffix else path, robot)
+    folder = path.parent if path.suffix else path
+    plan = _read_plan(folder, robot)
     trajectory = read_trajectory(path, robot.measured_joint_names)
+    # The true robot must not depend on which trajectory of the plan it follows.
+    planned = read_trajectory(folder, robot.measured_joint_names)
     effort = np.zeros(len(robot.joints))
-    if trajectory.effort is not None:
-        places = [robot.joint_names.index(name) for name in trajectory.names]
-        effort[places] = np.sqrt(np.mean(trajectory.effort**2, axis=0))
+    if planned.effort is not None:
+        places = [robot.joint_names.index(name) for name in planned.names]
+        effort[places] = np.sqrt(np.mean(planned.effort**2, axis=0))
     capacity = np.zeros(len(robot.joints))
     for name, limits in plan["joints"].items():
         largest = limits["noise_effort"]

@@ -325,7 +325,7 @@ class _Inspector:
             std = found.figures.get(f"{name}/effort_gain_std", 0.0)
             if gain is None:
                 continue
-            if std > KNOWN * abs(gain):
+            if std > KNOWN * max(abs(gain), 1.0):
                 unknown.append(name)
             else:
                 factors[name] = gain / common

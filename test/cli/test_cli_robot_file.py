@@ -99,16 +99,17 @@ def test_init_finds_names_signs_and_units(robot_file) -> None:
     assert len(found) >= 8  # the others have no drive
 
 
-def test_drives_without_a_visible_load_read_currents_like_the_others(tmp_path) -> None:
+@pytest.mark.parametrize("factor", [0.1, 1000.0])
+def test_drives_without_a_visible_load_have_the_unit_of_the_others(tmp_path, factor) -> None:
     """Otherwise they would tell the scale of the others, as joints in Nm do."""
     arm = load_model(ur5_urdf(), "fixed")
     read = arm_streams(arm, 20.0, 1, friction=0.08, resting=arm.joint_names[4:]).joints
-    columns = zip(read.stamp, read.position, read.velocity, 0.1 * read.effort, strict=True)
+    columns = zip(read.stamp, read.position, read.velocity, factor * read.effort, strict=True)
     messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in columns]
     setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
     assert setup.options["drive_gain"] == list(arm.joint_names)
     found = {name: float(one) for name, one in entries(setup.options["effort_scale"]).items()}
-    assert list(found.values())[1:3] == pytest.approx([10, 10], rel=0.3)
+    assert list(found.values())[1:3] == pytest.approx([1 / factor] * 2, rel=0.3)
 
 
 def test_efforts_that_are_wrong_together_get_the_other_sign(tmp_path) -> None:

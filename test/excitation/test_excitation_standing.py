@@ -197,6 +197,24 @@ def test_the_true_robot_stands_while_it_follows_the_plan(plans, name):
     assert np.all(error < 0.25 * np.sqrt(np.mean(wanted**2, axis=0)))
 
 
+def test_the_true_robot_does_not_depend_on_the_trajectory_that_it_follows(plans):
+    folder, plan = plans["solo"]
+
+    def drives(path):
+        truth = standing_simulator(
+            plan.joints.model,
+            path,
+            truth=TruthOptions(truth_seed=3),
+            has_friction=True,
+            sensors=SENSORS,
+            base_sensors=BaseSensorOptions(),
+            seed=None,
+        ).truth
+        return [(one.damping, one.friction_loss, one.armature) for one in truth.joints]
+
+    assert drives(folder) == drives(folder / "validation.csv")
+
+
 def test_only_rows_that_are_never_left_out_are_weighted_together(solo):
     """A joint with friction sticks at times; its residual is then unknown."""
     for terms, are_joined in (((), False), (("none",), True)):
