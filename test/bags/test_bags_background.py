@@ -176,9 +176,10 @@ def test_deleted_or_moved_file_ends_the_recording(
     assert f"log_0.mcap: the file or its folder was {word} while" in str(writer.failure)
     assert writer.lost == {"/imu": 5}
     assert not (tmp_path / "log" / "metadata.yaml").exists()
-    if remove is move:  # where it is now, the file is complete
+    if remove is move:
+        # Where it is now, the file is complete, with the messages if they were flushed before.
         file = tmp_path / "elsewhere" / "log_0.mcap"
-        assert sum(1 for _ in make_reader(file.open("rb")).iter_messages()) == 5
+        assert sum(1 for _ in make_reader(file.open("rb")).iter_messages()) in (0, 5)
 
 
 def test_file_deleted_after_a_split_is_named(tmp_path: Path) -> None:
