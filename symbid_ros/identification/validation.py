@@ -488,8 +488,9 @@ def describe_change(error: ForceError) -> str:
 
 
 def describe_files(percents: Mapping[str, float], after: float | None) -> str:
-    """Return the errors of model files that hold less than the identified model; may be empty."""
-    if not any(differ_relevantly(after, value) for value in percents.values()):
+    """Return the errors of model files that predict worse than the identified model, if any."""
+    worst = max(percents.values(), default=0.0)
+    if after is None or worst <= after or not differ_relevantly(after, worst):
         return ""
     errors = ", ".join(f"{name} alone errs by {percent(value)}" for name, value in percents.items())
     return f"{errors}: a model file cannot hold all joint terms"

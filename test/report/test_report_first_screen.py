@@ -58,7 +58,9 @@ class TestRecommendation:
         files = {"model.urdf": 4.5, "model.xml": 1.21}
         remark = recommend(estimate(file_percents=files)).remark
         assert "model.urdf alone errs by 4.5 %, model.xml alone errs by 1.2 %" in remark
-        assert not recommend(estimate(file_percents={"model.urdf": 1.2})).remark
+        for small in (1.2, 0.1):
+            files = {"model.urdf": small, "model.xml": 1.2}
+            assert not recommend(estimate(file_percents=files)).remark
 
     def test_an_alarm_comes_first(self):
         found = recommend(estimate(alarms=(ALARM,)))
