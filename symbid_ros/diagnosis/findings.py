@@ -45,6 +45,7 @@ class Kind(Enum):
     GRAVITY = "gravity"
     VELOCITY = "velocity"
     UNSIGNED_EFFORT = "unsigned_effort"
+    EFFORT_NOISE = "effort_noise"
     MISSING_JOINT = "missing_joint"
     UNKNOWN_JOINT = "unknown_joint"
     REORDERED_JOINTS = "reordered_joints"

@@ -118,7 +118,7 @@ def check_forces(
             for one in _wrench_findings(topics[frames[index]], frames[index], turn, common)
             if is_anchored or one.kind is not Kind.WRENCH_GAIN
         ),
-        *_effort_findings(joints, known, common),
+        *_effort_findings(joints, known, common, [name for name in efforts if name not in known]),
     ]
     if not found and not statistics.model.floating and _are_reversed(efforts):
         found = [_sign_finding(joints, {name: gain for name, (gain, _) in efforts.items()}, True)]
@@ -127,7 +127,11 @@ def check_forces(
     vanishing = bool(found or rotations) and not EXPLAINED[0] <= common <= EXPLAINED[1]
     if several or vanishing:
         found = [_contradiction([joints, *topics.values()])]
-    left_out = () if is_anchored else ("wrench_gain: there is no effort to compare with",)
+    left_out: tuple[str, ...] = ()
+    if rotations and not is_anchored:
+        left_out = (
+            "gains of the wrench sensors: no effort is known well enough to compare them with",
+        )
     return ForceVerdict(tuple(found), figures, found[0].kind.value if found else "", left_out)
 
 
@@ -262,8 +266,23 @@ def _wrench_findings(topic: str, frame: str, turn: RotationFit, common: float) -
 
 
 def _effort_findings(
-    topic: str, known: Mapping[str, tuple[float, float]], common: float
+    topic: str,
+    known: Mapping[str, tuple[float, float]],
+    common: float,
+    unknown: Sequence[str] = (),
 ) -> Iterator[Finding]:
+    """Yield findings about signs and gains of efforts.
+
+    Parameters
+    ----------
+    topic : str
+    known : mapping of str to (float, float)
+        Gains of joints that the log determines, with their standard deviations.
+    common : float
+        The gain of the other sensors.
+    unknown : sequence of str
+        The other driven joints.
+    """
     # The deviation is that of the ratio 1/g, relative to the ratio.
     negative = [name for name, (gain, std) in known.items() if gain < 0 and DEVIATIONS * std < 1]
     if negative:
@@ -276,18 +295,24 @@ def _effort_findings(
         reads = common / max(gain, SMALLEST * common)
         if gain > 0 and is_significant and not GAINS[0] < reads < GAINS[1]:
             wrong[name] = reads
-    for names in _similar_groups(wrong):
+    groups = list(_similar_groups(wrong))
+    # If all joints have the same wrong unit, so have those whose load does not show theirs.
+    are_all = len(known) > 2 and [len(names) for names in groups] == [len(known)]
+    usual = dict.fromkeys(unknown, float(np.median(list(wrong.values())))) if are_all else {}
+    factors = {name: 1 / one for name, one in (wrong | usual).items()}
+    line = robot_file_line("effort_scale", *(f"{name}:={one:.3g}" for name, one in factors.items()))
+    drives = "all" if are_all else ",".join(factors)
+    for names in groups:
         reads = float(np.median([wrong[name] for name in names]))
-        whose = "all joints" if len(names) > 2 and len(names) == len(known) else ", ".join(names)
+        whose = "all joints" if are_all else ", ".join(names)
         yield Finding(
             Kind.TORQUE_GAIN,
             topic,
             Severity.WARNING,
             f"{topic}: effort of {whose} reads {reads:.3g} times what the motion implies; "
             f"inertia errors of 25 % explain only {GAINS[0]:g} to {GAINS[1]:g}; check its unit, "
-            "gear ratio or torque constant, or write "
-            + robot_file_line("effort_scale", *(f"{name}:=FACTOR" for name in names))
-            + ", or let `drive_gain` identify it",
+            f"gear ratio or torque constant, or write {line}, or give `drive_gain` {drives} to "
+            "identify the factors",
             {"reads": reads} | {f"{name}/reads": wrong[name] for name in names},
         )
 

@@ -30,13 +30,19 @@ LIMIT_MARGIN = 0.35
 FAR = 10 * np.pi
 # Joints that move both ways, this many times each, of which so many never have a negative effort.
 FEWEST_REVERSING, FEWEST_UNSIGNED = 10, 4
+# Efforts of a moving joint with a smaller signal-to-noise ratio are noise: 6 % of their power is
+# signal.
+LEAST_SIGNAL = 0.25
+# Second differences of white noise have six times its power; those of a vibration have more.
+WHITE = 7.0
+FEWEST_EFFORTS = 500  # messages from which noise is judged
 # A joint without a position in this share of the messages makes a log unusable.
 MOST_MISSING = 0.5
 
 
 @dataclass
 class JointCheck:
-    """Moments of velocities and position changes, and the range of positions.
+    """Moments of velocities, position changes and efforts, and the range of positions.
 
     Attributes
     ----------
@@ -57,6 +63,8 @@ class JointCheck:
     _has_effort: BoolArray = field(init=False)
     _is_negative: BoolArray = field(init=False)
     _moved: IntArray = field(init=False)  # number of spans with motion down and up
+    # Number of efforts, their squares, and the squares of their second differences.
+    _efforts: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         """Allocate empty moments."""
@@ -68,6 +76,7 @@ class JointCheck:
         self._has_effort = np.zeros(joints, dtype=bool)
         self._is_negative = np.zeros(joints, dtype=bool)
         self._moved = np.zeros((2, joints), dtype=np.int64)
+        self._efforts = np.zeros((3, joints))
 
     def add(self, joints: JointStream, during: tuple[int, int] = ALWAYS) -> None:
         """Add messages in the order of their stamps; messages of other joints are ignored.
@@ -83,6 +92,7 @@ class JointCheck:
         self._without_position += np.count_nonzero(~np.isfinite(joints.position[inside]), axis=0)
         self._has_effort |= np.any(is_finite & (joints.effort[inside] != 0.0), axis=0)
         self._is_negative |= np.any(joints.effort[inside] < 0.0, axis=0)
+        self._add_efforts(joints.effort[inside])
         position = joints.position
         self._low = np.fmin(self._low, np.nanmin(position, axis=0, initial=np.inf))
         self._high = np.fmax(self._high, np.nanmax(position, axis=0, initial=-np.inf))
@@ -110,6 +120,30 @@ class JointCheck:
             np.sum(velocity**2, axis=0),
         ]
         self._count += len(change)
+
+    def _add_efforts(self, effort: FloatArray) -> None:
+        """Add the squares of successive efforts (N, J) and of their second differences."""
+        bend = np.diff(effort, 2, axis=0)
+        known = np.isfinite(bend)
+        middle = np.where(known, effort[1:-1] if len(effort) > 2 else bend, 0.0)
+        self._efforts += [
+            np.count_nonzero(known, axis=0),
+            np.sum(middle**2, axis=0),
+            np.sum(np.where(known, bend, 0.0) ** 2, axis=0),
+        ]
+
+    @property
+    def signal_to_noise(self) -> FloatArray:
+        """Ratio of the effort's RMS signal to its RMS noise, (J,); infinite without noise.
+
+        White noise of variance σ² has second differences of variance 6σ². Those of a signal that
+        is smooth from message to message are small.
+        """
+        _, square, bend = self._efforts
+        noise = bend / 6
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.sqrt(np.maximum(square / noise - 1, 0.0))
+        return np.where(noise > 0, ratio, np.inf)
 
     def findings(self, model: RobotModel | None) -> list[Finding]:
         """Return the findings about positions, velocities and efforts."""
@@ -156,6 +190,7 @@ class JointCheck:
                     )
                 )
         found += self._unsigned_findings(driven)
+        found += self._noise_findings(driven)
         incomplete = [i for i in driven if self._has_effort[i] and self._without_effort[i]]
         return found + list(self._absent("effort", incomplete, Severity.WARNING))
 
@@ -174,6 +209,27 @@ class JointCheck:
             f"the effort of {self._list_names(places)} is never negative, although the joints move "
             "both ways, as if it were a magnitude; let the driver give efforts their signs",
             {"joints": len(places)},
+            Severity.WARNING,
+        )
+
+    def _noise_findings(self, driven: list[int]) -> Iterator[Finding]:
+        """Yield a finding if the efforts of joints that move are almost only noise."""
+        ratio = self.signal_to_noise
+        count, square, bend = self._efforts
+        is_noise = (ratio < LEAST_SIGNAL) & (count >= FEWEST_EFFORTS) & (bend < WHITE * square)
+        is_noise &= np.any(self._moved > 0, axis=0)
+        places = [i for i in driven if is_noise[i]]
+        if not places:
+            return
+        low, high = float(ratio[places].min()), float(ratio[places].max())
+        span = f"{low:.2g}" if len(places) == 1 else f"{low:.2g} to {high:.2g}"
+        yield Finding.of(
+            self.topic,
+            Kind.EFFORT_NOISE,
+            f"the effort of {self._list_names(places)} is almost only noise, with a "
+            f"signal-to-noise ratio of {span}; load the joints more, by faster motion or a "
+            "payload, or measure efforts with less noise",
+            {f"{self.names[i]}/signal_to_noise": float(ratio[i]) for i in places},
             Severity.WARNING,
         )
 

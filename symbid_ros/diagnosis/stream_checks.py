@@ -150,9 +150,9 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
                 Kind.MISSING_JOINT,
                 joints.topic,
                 Severity.UNUSABLE,
-                f"{joints.topic}: lacks {', '.join(missing)} of model {model.source}; record all "
-                "of its joints or use the model of this robot; if the log names them otherwise, "
-                f"write {robot_file_line('rename_joint', f'NAME_IN_LOG:={missing[0]}')}",
+                f"{joints.topic}: lacks {', '.join(missing)} of model {model.source}; if the log "
+                "names them otherwise, `symbid init` finds the names and writes a robot file; "
+                "otherwise record all joints, or use the model of this robot",
                 {"joints": len(missing)},
             )
         )

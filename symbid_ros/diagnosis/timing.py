@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from symbid_ros.arrays import IntArray, distinct
+from symbid_ros.arrays import IntArray
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity, StreamFigures
-from symbid_ros.signals.defects import find_gaps
+from symbid_ros.signals.defects import Intervals
 
 # Stamps whose periods vary more are arrival times instead of sampling times.
 JITTER = 0.25
@@ -56,32 +56,31 @@ class TimingCheck:
         self.messages += len(stamps)
         if not len(stamps):
             return
-        ordered = distinct(stamps)
         if self.last is not None and recording != self._recording:
-            self._paused += int(ordered[0]) - self.last
+            self._paused += int(stamps.min()) - self.last
         elif self.last is not None:
-            ordered = np.append(self.last, ordered[ordered > self.last])
+            stamps = np.append(self.last, stamps[stamps > self.last])
         self._recording = recording
-        self.first = int(ordered[0]) if self.first is None else self.first
-        self.last = int(ordered[-1])
-        found = find_gaps(ordered)
+        found = Intervals.between(stamps)
+        self.first = int(found.stamps[0]) if self.first is None else self.first
+        self.last = int(found.stamps[-1])
         if not found.period:
             return
         self._periods.append(found.period)
-        self.gaps += found.gaps
-        self.missing += found.missing
-        self.longest = max(self.longest, found.longest)
-        steps = np.diff(ordered)
-        self._keep_gaps(ordered, steps, found.period)
+        self.gaps += int(np.count_nonzero(found.missing))
+        self.missing += int(found.missing.sum())
+        steps = found.steps
+        self.longest = max(self.longest, int(steps.max()))
+        self._keep_gaps(found)
         regular = steps[2 * steps < 3 * found.period] / found.period - 1
         self._deviations += float(np.sum(regular**2))
         self._steps += len(regular)
 
-    def _keep_gaps(self, stamps: IntArray, steps: IntArray, period: int) -> None:
-        wide = np.flatnonzero(2 * steps >= 3 * period)
-        longest = wide[np.argsort(-steps[wide], kind="stable")[:GAPS_KEPT]]
+    def _keep_gaps(self, found: Intervals) -> None:
+        gaps = np.flatnonzero(found.missing)
+        longest = gaps[np.argsort(-found.steps[gaps], kind="stable")[:GAPS_KEPT]]
         self.spans += [
-            FaultSpan(Kind.GAP, self.topic, int(stamps[one]), int(stamps[one + 1]))
+            FaultSpan(Kind.GAP, self.topic, int(found.stamps[one]), int(found.stamps[one + 1]))
             for one in longest.tolist()
         ]
         if len(self.spans) > GAPS_KEPT:

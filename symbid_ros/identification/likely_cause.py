@@ -13,6 +13,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS, TYPICAL_ERRORS
+from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.dynamics.regressor import Rows, coulomb_column, friction_state, stribeck_column
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
@@ -47,6 +48,9 @@ QUARTER, MOSTLY = 0.25, 0.5
 
 NO_OPTION = "no option models it, and the standard deviations allow for it"
 WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of warm drives"
+WRONG_EFFORTS = (
+    "likely cause: the factors of the efforts that another alarm names; correct these first"
+)
 EFFECTS = {
     "viscous": "viscous friction",
     "warming": "viscous friction that changes during the log",
@@ -117,6 +121,8 @@ def explained(problem: LoadedProblem, found: Identification) -> Identification:
     if verdict is None or not verdict.is_coloured or not verdict.unexplained:
         return found
     worst = verdict.unexplained[0]
+    if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
+        return _with_cause(found, "", WRONG_EFFORTS)
     try:
         rows = CandidateRows.of(problem, found)
     except SymbidError:
@@ -125,6 +131,13 @@ def explained(problem: LoadedProblem, found: Identification) -> Identification:
         when, sentence = "", "the log is too short to try likely causes; record longer"
     else:
         when, sentence = rows.when(worst.coordinate), rows.explanation(worst)
+    return _with_cause(found, when, sentence)
+
+
+def _with_cause(found: Identification, when: str, sentence: str) -> Identification:
+    """Return an identification whose alarm of correlated residuals says when and why."""
+    verdict = found.estimate.verdict
+    assert verdict is not None
     before = coloured_alarm(verdict.whiteness, verdict.unexplained)
     after = coloured_alarm(verdict.whiteness, verdict.unexplained, when=when, cause=sentence)
     alarms = tuple(after if alarm == before else alarm for alarm in verdict.alarms)

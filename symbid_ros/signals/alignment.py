@@ -419,9 +419,10 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
     if missing:
         raise ModelError(
             f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
-            f"has {', '.join(names)}; name every topic of joint states (`joint_topic`), give "
-            f"`rename_joint` NAME:={missing[0]} or `hold_joint` {missing[0]}:=POSITION, or the "
-            f"model of this robot; or write {robot_file_line('rename_joint', *_pairs(missing))}",
+            f"has {', '.join(names)}; if these are other names of the same joints, `symbid init` "
+            "finds them from a bag and writes a robot file; otherwise name every topic of joint "
+            f"states (`joint_topic`), give `rename_joint` NAME:={missing[0]} or `hold_joint` "
+            f"{missing[0]}:=POSITION, or the model of this robot",
             "E306",
         )
     leaders = [
@@ -433,10 +434,6 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
         for leader in leaders
     ]
     return np.array(places, dtype=np.int64)
-
-
-def _pairs(missing: Sequence[str]) -> list[str]:
-    return [f"NAME_IN_LOG:={name}" for name in missing]
 
 
 def _imu_channel(imu: ImuStream) -> _Matrix:

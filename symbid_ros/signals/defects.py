@@ -186,7 +186,7 @@ class Gaps:
     period : int
         Median interval between stamps, ns; 0 for fewer than two messages.
     gaps, missing : int
-        Intervals of at least 1.5 periods, and the number of messages that would fill them.
+        Intervals that lack messages, and the number of these, see :class:`Intervals`.
     longest : int
         Longest interval, ns.
     disordered : int
@@ -200,13 +200,54 @@ class Gaps:
     disordered: int
 
 
+@dataclass(frozen=True)
+class Intervals:
+    """Intervals between the stamps of one topic, and the messages that they lack.
+
+    Attributes
+    ----------
+    stamps : (N,) int64
+        Distinct stamps in ascending order, ns.
+    period : int
+        Median interval, ns; 0 for fewer than two stamps.
+    missing : (max(N - 1, 0),) int64
+        Number of messages that would fill each interval of at least 1.5 periods. Messages that
+        repeat the stamp at either end are not missing: they have the wrong stamp.
+    """
+
+    stamps: IntArray
+    period: int
+    missing: IntArray
+
+    @classmethod
+    def between(cls, stamps: IntArray) -> "Intervals":
+        """Return the intervals between stamps (M,), ns in any order."""
+        ordered = distinct(stamps)
+        step = np.diff(ordered)
+        if not len(step):
+            return cls(ordered, 0, np.zeros(0, dtype=np.int64))
+        period = int(np.median(step))
+        missing = np.where(2 * step >= 3 * period, np.rint(step / period) - 1, 0).astype(np.int64)
+        if len(ordered) < len(stamps):
+            spare = np.bincount(np.searchsorted(ordered, stamps)) - 1
+            for index in np.flatnonzero((missing > 0) & (spare[:-1] + spare[1:] > 0)).tolist():
+                for end in (index, index + 1):
+                    moved = min(missing[index], spare[end])
+                    missing[index] -= moved
+                    spare[end] -= moved
+        return cls(ordered, period, missing)
+
+    @property
+    def steps(self) -> IntArray:
+        """Lengths of the intervals, ns."""
+        return np.diff(self.stamps)
+
+
 def find_gaps(stamps: IntArray) -> Gaps:
     """Find the gaps in stamps (N,), ns in order of arrival."""
     disordered = int(np.count_nonzero(np.diff(stamps) <= 0))
-    step = np.diff(distinct(stamps))
-    if not len(step):
-        return Gaps(0, 0, 0, 0, disordered)
-    period = int(np.median(step))
-    wide = step[2 * step >= 3 * period]
-    missing = int(np.sum(np.rint(wide / period) - 1))
-    return Gaps(period, len(wide), missing, int(step.max()), disordered)
+    found = Intervals.between(stamps)
+    missing, longest = found.missing, int(found.steps.max(initial=0))
+    return Gaps(
+        found.period, int(np.count_nonzero(missing)), int(missing.sum()), longest, disordered
+    )

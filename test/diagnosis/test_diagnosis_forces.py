@@ -153,7 +153,10 @@ def test_wrenches_without_effort_have_no_scale_to_compare_with():
     verdict = Robot([1e-1 * IDENTITY, -IDENTITY], driven=0).verdict()
     assert [one.kind for one in verdict.findings] == [Kind.WRENCH_GAIN, Kind.WRENCH_SIGN]
     assert verdict.left_out == ()
-    assert unknown.verdict().left_out == ("wrench_gain: there is no effort to compare with",)
+    assert unknown.verdict().left_out == (
+        "gains of the wrench sensors: no effort is known well enough to compare them with",
+    )
+    assert Robot(driven=1, std=0.5, floating=False, loaded=(False, False)).verdict().left_out == ()
     assert unknown.verdict().findings == ()
 
 
@@ -303,6 +306,18 @@ def test_all_joints_are_named_together_from_three_on():
     assert "effort of all joints reads 10 times" in gains.message
     (pair,) = _effort_findings("/joints", known(0.1, 0.1), 1.0)
     assert "effort of 0, 1 reads 10 times" in pair.message
+
+
+def test_the_line_for_a_robot_file_names_every_joint_with_its_number():
+    """It replaces the line of another finding, and of joints that show no load of their own."""
+    found = list(_effort_findings("/joints", known(0.1, 5.0, 1.0), 1.0, ["x"]))
+    assert len(found) == 2
+    for one in found:
+        assert 'write effort_scale: ["0:=0.1", "1:=5"] in robot.yaml' in one.message
+        assert "give `drive_gain` 0,1 to identify" in one.message
+    (every,) = _effort_findings("/joints", known(1e-3, 1.1e-3, 0.9e-3), 1.0, ["x"])
+    assert 'effort_scale: ["0:=0.001", "1:=0.0011", "2:=0.0009", "x:=0.001"]' in every.message
+    assert "give `drive_gain` all to" in every.message
 
 
 def test_similar_errors_are_one_group():

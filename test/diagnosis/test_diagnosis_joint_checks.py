@@ -295,3 +295,26 @@ def test_a_load_that_always_pulls_down_is_no_magnitude():
         check = JointCheck("/joints", names)
         check.add(JointStream("/joints", names, stamp, *motion, load))
         assert Kind.UNSIGNED_EFFORT not in [one.kind for one in check.findings(None)]
+
+
+@pytest.mark.parametrize(("ratio", "is_found"), [(0.1, True), (0.5, False)])
+@pytest.mark.parametrize("load", ["carried", "moved"])
+def test_efforts_that_are_almost_only_noise_are_named_with_their_ratio(ratio, is_found, load):
+    signal = ratio * (np.ones(COUNT) if load == "carried" else np.sqrt(2) * np.sin(OMEGA * TIME))
+    effort = np.random.default_rng(0).normal(size=(COUNT, 3)) + signal[:, None]
+    effort[:, 0] += 3.0
+    joints = replace(swinging(), effort=effort)
+    found = [one for one in findings(joints) if one.kind is Kind.EFFORT_NOISE]
+    assert len(found) == is_found
+    for one in found:
+        assert one.severity is Severity.WARNING
+        assert "the effort of knee, foot is almost only noise" in one.message
+        for name in NAMES[1:]:
+            assert one.figures[f"{name}/signal_to_noise"] == pytest.approx(ratio, abs=0.15)
+    # A joint at rest need not show any load, and a vibration is a signal.
+    resting = replace(stream(1.0, 0.0), effort=effort)
+    vibrating = replace(
+        swinging(), effort=signal[:, None] + np.cos(np.pi * np.arange(COUNT))[:, None]
+    )
+    for other in (resting, vibrating):
+        assert Kind.EFFORT_NOISE not in {one.kind for one in findings(other)}

@@ -31,7 +31,8 @@ def streams(start=0, count=400, names=MODEL.joint_names, imu="imu_link", wrench=
     def noise(width):
         return rng.normal(size=(count, width))
 
-    joints = JointStream("/joints", names, stamp, *(noise(len(names)) for _ in range(3)))
+    position, velocity, effort = (noise(len(names)) for _ in range(3))
+    joints = JointStream("/joints", names, stamp, position, velocity, 5.0 + effort)
     force = noise(3) + np.array([0, 0, 9.81])
     quaternion = np.tile([0.0, 0, 0, 1], (count, 1))
     imus = (ImuStream("/imu", imu, stamp, quaternion, noise(3), force),) if imu else ()

@@ -34,6 +34,20 @@ def test_every_removed_message_is_counted(count: int, data: st.DataObject) -> No
     assert gaps.disordered == 0
 
 
+@given(st.integers(20, 200), st.data())
+def test_a_message_with_the_stamp_of_its_neighbour_is_no_gap(count: int, data: st.DataObject):
+    places = st.lists(st.integers(1, count // 2 - 2), max_size=count // 6, unique=True)
+    repeated = 2 * np.array(data.draw(places), dtype=np.int64)
+    stamps = np.arange(count) * PERIOD
+    stamps[repeated] += data.draw(st.sampled_from([-PERIOD, PERIOD]))
+    gaps = find_gaps(stamps)
+    assert (gaps.period, gaps.missing, gaps.gaps) == (PERIOD, 0, 0)
+    assert gaps.disordered == len(repeated)
+    # Lost messages beside it still count.
+    lost = np.delete(stamps, [count - 4, count - 3])
+    assert find_gaps(lost).missing == 2
+
+
 def test_jitter_below_half_a_period_is_not_a_gap() -> None:
     jitter = np.random.default_rng(0).integers(-200_000, 200_000, 1000)
     gaps = find_gaps(np.arange(1000) * PERIOD + jitter)
