@@ -9,7 +9,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import OptionError
-from symbid_ros.model.tree import Joint
+from symbid_ros.model.tree import Joint, RobotModel
 from symbid_ros.user_files import load_yaml
 
 # What applies where neither the model nor a limits file states a limit: revolute joints in rad, and
@@ -109,7 +109,7 @@ def joint_limits(
         Position about which a joint without position limits moves.
     file : Path, optional
         YAML in the format of MoveIt's ``joint_limits.yaml``. Its limits replace those of the
-        model, except that a position stays within the model's range.
+        model, except that a position stays within the model's range, if that has a width.
 
     Raises
     ------
@@ -142,6 +142,30 @@ def joint_limits(
     columns = np.array(rows).reshape(len(rows), 5).T
     lower, upper, speed, acceleration, effort = columns
     return JointLimits(tuple(joints), lower, upper, speed, acceleration, effort, tuple(assumed))
+
+
+def with_stated_limits(robot: RobotModel, file: Path) -> RobotModel:
+    """Return a robot with a file's ranges and efforts for joints to which its model gives none.
+
+    Raises
+    ------
+    OptionError
+        When the file is invalid.
+    """
+    moving = {
+        name: robot.joints[robot.joint_names.index(name)] for name in robot.measured_joint_names
+    }
+    stated = read_limits(file, moving)
+
+    def completed(joint: Joint) -> Joint:
+        given = stated.get(joint.name, {})
+        if joint.effort == 0:
+            joint = replace(joint, effort=given.get("effort", 0.0))
+        if joint.lower >= joint.upper and {"lower", "upper"} <= given.keys():
+            joint = replace(joint, lower=given["lower"], upper=given["upper"])
+        return joint
+
+    return replace(robot, joints=tuple(map(completed, robot.joints)))
 
 
 def read_limits(file: Path, joints: Mapping[str, Joint]) -> dict[str, dict[str, float]]:

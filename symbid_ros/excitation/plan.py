@@ -7,6 +7,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.excitation.limits import with_stated_limits
 from symbid_ros.excitation.objective import MotionSpace
 from symbid_ros.excitation.options import STANDING, ExciteOptions
 from symbid_ros.excitation.problem import ExcitationProblem, fixed_base_problem
@@ -32,6 +33,8 @@ def excitation_problem(
         an option is invalid.
     """
     robot = robot.with_gravity(options.gravity)
+    if options.limits is not None:
+        robot = with_stated_limits(robot, options.limits)
     if options.feet:
         return standing_problem(robot, options, sensors, base_sensors or BaseSensorOptions())
     # A robot file may name contacts.

@@ -223,13 +223,13 @@ def _moving(robot: RobotModel, names: tuple[str, ...]) -> tuple[int, ...]:
         elif named:
             raise OptionError(
                 f"{robot.source}: joint {name} has no range or no effort, so no drive moves it; "
-                "correct its limits, or leave it out of `joints`",
+                "give them by `limits`, or leave it out of `joints`",
                 "E583",
             )
     if not chosen:
         raise OptionError(
-            f"{robot.source}: no joint has a range and an effort above zero; correct the limits in "
-            "the model",
+            f"{robot.source}: no joint has a range and an effort above zero; give them by `limits`, "
+            "or correct the model",
             "E583",
         )
     return tuple(chosen)

@@ -193,6 +193,8 @@ class UrdfReader:
         # is passive but moves has a speed.
         if effort == 0.0 and speed == 0.0:
             effort = speed = None
+            if lower == upper == 0.0:
+                lower, upper = -np.inf, np.inf
         return (
             BodyJoint(
                 name,

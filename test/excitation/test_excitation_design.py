@@ -189,6 +189,23 @@ def test_an_impossible_limit_is_refused(arm, tmp_path, limit):
     assert error.value.code == "E580"
 
 
+def test_a_limits_file_states_ranges_and_efforts_that_the_model_lacks(arm, tmp_path):
+    names = arm.joint_names
+    still = tuple(replace(joint, lower=0.0, upper=0.0, effort=0.0) for joint in arm.joints)
+    robot = replace(arm, joints=still)
+    file = tmp_path / "joint_limits.yaml"
+    file.write_text(
+        f"joint_limits:\n  {names[0]}: {{min_position: -1.0, max_position: 0.5, max_effort: 40}}\n"
+    )
+    options = ExciteOptions(seconds=8.0, period=8.0, no_collision=True)
+    with pytest.raises(OptionError, match="`limits`") as error:
+        excitation_problem(robot, options, SENSORS)
+    assert error.value.code == "E583"
+    limits = excitation_problem(robot, replace(options, limits=file), SENSORS).limits
+    assert limits.names == names[:1]
+    assert (limits.lower[0], limits.upper[0], limits.effort[0]) == (-1.0, 0.5, 40.0)
+
+
 def test_lengths_have_upper_limits():
     for given in ({"seconds": 1e9}, {"seconds": float("inf")}, {"period": 1e9}):
         with pytest.raises(OptionError, match="at most"):

@@ -51,6 +51,11 @@ def test_a_joint_without_elements_has_the_formats_defaults(tmp_path):
         ("prismatic", 'lower="-1" upper="2" effort="0"', ("prismatic", -1, 2, 0)),
         ("revolute", 'effort="0" velocity="3"', ("revolute", -np.inf, np.inf, 0)),
         ("revolute", 'effort="0" velocity="0"', ("revolute", -np.inf, np.inf, np.inf)),
+        (
+            "revolute",
+            'lower="0" upper="0" effort="0" velocity="0"',
+            ("revolute", -np.inf, np.inf, np.inf),
+        ),
         ("continuous", 'lower="-1" upper="2"', ("revolute", -np.inf, np.inf, np.inf)),
         ("revolute", 'lower="-1" effort="3"', ("revolute", -np.inf, np.inf, 3)),
         ("revolute", 'upper="1"', ("revolute", -np.inf, np.inf, np.inf)),
