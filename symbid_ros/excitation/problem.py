@@ -228,8 +228,8 @@ def _moving(robot: RobotModel, names: tuple[str, ...]) -> tuple[int, ...]:
             )
     if not chosen:
         raise OptionError(
-            f"{robot.source}: no joint has a range and an effort above zero; give them by `limits`, "
-            "or correct the model",
+            f"{robot.source}: no joint has a range and an effort above zero; give them by "
+            "`limits`, or correct the model",
             "E583",
         )
     return tuple(chosen)
