@@ -3,7 +3,7 @@
 import math
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tokenize import TokenError
@@ -20,10 +20,12 @@ from symbid_ros.estimation.information import Information, RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.user_files import open_regular
 
-FORMAT = 2
+FORMAT = 3
+DENSE_FORMAT = 2  # of earlier versions, with all zeros, both halves of moments, and all copies
 ARCHIVE = "an information.npz"
 MAX_ARRAYS = 10_000
 MAX_BYTES = 2 << 30  # of all arrays, unpacked; a humanoid with 45 joints needs a quarter
+SLIPPING, NUMBERS = "slipping_", "numbers_"  # parts of names of arrays
 LARGEST_ENTRY = 1e15  # far above an hour of large forces at a high rate
 
 
@@ -68,7 +70,7 @@ def write_archive(
     if calibration is not None:
         content["sensor_factor"] = calibration.factor
         content["linearization"] = calibration.linearization
-    # Random digits: compression would save a fifth and take longer than all the rest.
+    # Random digits, as zeros are left out: compression would take longer than all the rest.
     write_through(path, lambda stream: np.savez(stream, **content))
 
 
@@ -88,30 +90,77 @@ def pack_observations(observations: Sequence[Observations]) -> dict[str, Any]:
             sorted(frozenset[int]().union(*(one.seconds for one in observations))), dtype=np.int64
         ),
     }
+    shared: list[str] = []
     for index, one in enumerate(observations):
-        content |= _arrays(one, str(index))
-        if one.slipping is not None:
-            content |= _arrays(one.slipping, f"slipping_{index}")
-    return content
+        arrays = _arrays(one, str(index))
+        content |= arrays
+        if one.slipping is None:
+            continue
+        for name, values in _arrays(one.slipping, f"{SLIPPING}{index}").items():
+            # They are the same where no joint sticks.
+            if np.array_equal(values, arrays.get(name.replace(SLIPPING, ""))):
+                shared.append(name)
+            else:
+                content[name] = values
+    return content | {"shared": np.array(shared, dtype=np.str_)}
 
 
 def _arrays(one: Observations, key: str) -> dict[str, NDArray[Any]]:
     """Return the arrays of one window length; ``key`` ends their names."""
     upper = np.triu_indices(one.layout.width)
     arrays = {
-        f"rows_{key}": one.rows.factor[upper],
-        f"noise_{key}": one.noise.factor[upper],
+        **_without_zeros(f"rows_{key}", one.rows.factor[upper]),
+        **_without_zeros(f"noise_{key}", one.noise.factor[upper]),
         f"samples_{key}": np.array([one.rows.samples, one.noise.samples]),
         f"counts_{key}": one.counts,
     }
     if one.groups is not None:
         arrays[f"group_counts_{key}"] = one.groups.counts
         parts = one.groups.parts
-        arrays[f"groups_{key}"] = np.concatenate([each.moments.ravel() for each in parts])
+        moments = [_stored_moments(each, one.layout).ravel() for each in parts]
+        arrays |= _without_zeros(f"groups_{key}", np.concatenate(moments))
         arrays[f"group_columns_{key}"] = np.concatenate(
             [np.column_stack([np.full(len(one.left), one.coordinate), one.left]) for one in parts]
         )
     return arrays
+
+
+def _stored_moments(part: CoordinateMoments, layout: RowLayout) -> FloatArray:
+    """Return the moments (GROUPS, ...) of a coordinate; one half if they are symmetric."""
+    width = len(layout.columns[part.coordinate]) + 1
+    if len(part.left) < width:
+        return part.moments
+    return part.moments[(slice(None), *np.triu_indices(width))]
+
+
+def _without_zeros(name: str, values: FloatArray) -> dict[str, NDArray[Any]]:
+    """Return an array (N,) without its zeros, and bits that tell where the other numbers are.
+
+    A short log fills few rows of a factor, and some candidate terms never act.
+    """
+    is_number = (values != 0) | np.signbit(values)
+    if is_number.all():
+        return {name: values}
+    return {name: values[is_number], NUMBERS + name: np.packbits(is_number)}
+
+
+def _with_zeros(content: Mapping[str, NDArray[Any]], name: str, size: int) -> NDArray[Any]:
+    """Return an array, with the zeros that :func:`_without_zeros` left out of its N = ``size``."""
+    found = content[name]
+    bits = content.get(NUMBERS + name)
+    if bits is None:
+        return found
+    expected = ((size + 7) // 8,)
+    _require(
+        bits.dtype == np.uint8 and bits.shape == expected,
+        f"{NUMBERS}{name} has shape {bits.shape}, not {expected} bytes",
+    )
+    is_number = np.unpackbits(bits, count=size).astype(bool)
+    count = int(np.count_nonzero(is_number))
+    _require(found.shape == (count,), f"{name} has shape {found.shape}, not {(count,)}")
+    values = np.zeros(size, dtype=found.dtype)
+    values[is_number] = found
+    return values
 
 
 def load_archive(path: Path) -> tuple[Observations, ...]:
@@ -124,12 +173,14 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
     """
     content = read_arrays(path, ARCHIVE)
     try:
-        if int(content["format"]) != FORMAT:
+        if int(content["format"]) not in (DENSE_FORMAT, FORMAT):
             raise EstimateError(
-                f"{path}: written in format {int(content['format'])}, this version reads {FORMAT}; "
-                "identify the log again",
+                f"{path}: written in format {int(content['format'])}, this version reads "
+                f"{DENSE_FORMAT} and {FORMAT}; identify the log again",
                 "E411",
             )
+        if 64 * sum(one.size for name, one in content.items() if NUMBERS in name) > MAX_BYTES:
+            raise _too_large(path)
         return unpack_observations(content)
     except KeyError as error:
         reason = f"it lacks {error}"
@@ -149,6 +200,9 @@ def unpack_observations(content: dict[str, np.ndarray]) -> tuple[Observations, .
     KeyError, ValueError, TypeError, IndexError, OverflowError
         When an array is missing or invalid.
     """
+    shared = [str(name) for name in content.get("shared", np.zeros(0)).tolist()]
+    _require(all(name.count(SLIPPING) == 1 for name in shared), "its shared arrays have no owner")
+    content = content | {name: content[name.replace(SLIPPING, "")] for name in shared}
     layout = _layout(content)
     windows, inflations, kept = (
         _numbers(content, name, (len(content["window"]),))
@@ -222,7 +276,7 @@ def _observations(
     **common: Any,
 ) -> Observations:
     """Return the observations of one window length from the arrays whose names end in ``key``."""
-    slipping = f"slipping_{key}"
+    slipping = f"{SLIPPING}{key}"
     return replace(
         empty,
         rows=_information(layout, content, "rows", key),
@@ -230,7 +284,7 @@ def _observations(
         counts=_counts(content, key, layout),
         groups=_groups(content, key, layout),
         slipping=_observations(layout, content, slipping, empty, **common)
-        if f"rows_{slipping}" in content
+        if f"rows_{slipping}" in content and SLIPPING not in key
         else None,
         **common,
     )
@@ -240,14 +294,33 @@ def _groups(content: dict[str, np.ndarray], key: str, layout: RowLayout) -> Grou
     if f"groups_{key}" not in content:
         return None
     shapes = _group_shapes(content, key, layout)
-    sizes = [GROUPS * len(left) * (len(layout.columns[i]) + 1) for i, left in shapes]
+    widths = [len(layout.columns[i]) + 1 for i, _ in shapes]
+    is_half = [
+        int(content["format"]) != DENSE_FORMAT and len(left) == width
+        for (_, left), width in zip(shapes, widths, strict=True)
+    ]
+    sizes = [
+        GROUPS * (width * (width + 1) // 2 if half else len(left) * width)
+        for (_, left), width, half in zip(shapes, widths, is_half, strict=True)
+    ]
     flat = _numbers(content, f"groups_{key}", (sum(sizes),), least=-LARGEST_ENTRY)
-    parts = tuple(
-        CoordinateMoments(i, left, moments.reshape(GROUPS, len(left), -1))
-        for (i, left), moments in zip(shapes, np.split(flat, np.cumsum(sizes)[:-1]), strict=True)
-    )
+    parts = []
+    for (i, left), width, half, moments in zip(
+        shapes, widths, is_half, np.split(flat, np.cumsum(sizes)[:-1]), strict=True
+    ):
+        one = moments.reshape(GROUPS, -1) if half else moments.reshape(GROUPS, len(left), width)
+        parts.append(CoordinateMoments(i, left, _symmetric(one, width) if half else one))
     counts = _numbers(content, f"group_counts_{key}", (GROUPS, len(layout.coordinates)))
-    return GroupMoments(layout, parts, counts)
+    return GroupMoments(layout, tuple(parts), counts)
+
+
+def _symmetric(half: FloatArray, width: int) -> FloatArray:
+    """Return symmetric matrices (k, w, w) from their upper halves (k, w (w + 1) / 2)."""
+    rows, columns = np.triu_indices(width)
+    found = np.empty((len(half), width, width))
+    found[:, rows, columns] = half
+    found[:, columns, rows] = half
+    return found
 
 
 def _group_shapes(
@@ -287,7 +360,7 @@ def _numbers(
     content: dict[str, np.ndarray], name: str, shape: tuple[int, ...], least: float = 0.0
 ) -> FloatArray:
     """Return an array of real numbers from ``least`` to ``LARGEST_ENTRY``."""
-    found = content[name]
+    found = _with_zeros(content, name, math.prod(shape))
     _require(found.shape == shape, f"{name} has shape {found.shape}, not {shape}")
     _require(found.dtype.kind in "fiu", f"{name} is of type {found.dtype}, not real numbers")
     numbers = found.astype(np.float64)
@@ -366,16 +439,20 @@ def _check_sizes(path: Path, file: BinaryIO) -> None:
     with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
         if len(members) > MAX_ARRAYS or sum(one.file_size for one in members) > MAX_BYTES:
-            raise EstimateError(
-                f"{path}: more than {MAX_ARRAYS} arrays or {MAX_BYTES >> 20} MiB unpacked, the "
-                "limits; identify fewer logs at a time",
-                "E411",
-            )
+            raise _too_large(path)
         for member in members:
             with archive.open(member) as stream:
                 shape, kind = _stated(stream)
                 if math.prod(shape) * kind.itemsize != member.file_size - stream.tell():
                     raise ValueError("an array does not have the size in its header")
+
+
+def _too_large(path: Path) -> EstimateError:
+    return EstimateError(
+        f"{path}: more than {MAX_ARRAYS} arrays or {MAX_BYTES >> 20} MiB unpacked, the limits; "
+        "identify fewer logs at a time",
+        "E411",
+    )
 
 
 def _stated(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:

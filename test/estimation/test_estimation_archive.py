@@ -22,6 +22,7 @@ from symbid_ros.estimation.archive import (
     load_deviation_factor,
     write_archive,
 )
+from symbid_ros.estimation.group_moments import GroupMoments
 from symbid_ros.estimation.posterior import posterior
 
 
@@ -64,6 +65,28 @@ def test_an_archive_is_read_bit_for_bit(tmp_path):
     prior = prior_of(gaussian_log(0), 0)
     np.testing.assert_array_equal(posterior(read[0], prior).mean, posterior(written[0], prior).mean)
     assert path.stat().st_size < 2**20
+
+
+def test_zeros_halves_of_moments_and_copies_are_not_stored(tmp_path):
+    """A short log fills few rows of its factor, and no joint of it sticks."""
+    log = gaussian_log(0, count=12, terms=("viscous", "coulomb"))
+    groups = GroupMoments.empty(log.layout, candidates=True).fold([log.rows()])
+    assert groups.complete
+    one = replace(log.observations(), groups=groups)
+    path = tmp_path / "information.npz"
+    write_archive(path, [replace(one, slipping=one)])
+    (read,) = load_archive(path)
+    factor = one.rows.factor
+    for found in (read, read.slipping):
+        np.testing.assert_array_equal(found.rows.factor, factor)
+        np.testing.assert_array_equal(found.noise.factor, one.noise.factor)
+        for part, other in zip(found.groups.parts, groups.parts, strict=True):
+            np.testing.assert_array_equal(part.moments, other.moments)
+            np.testing.assert_array_equal(part.left, other.left)
+    with np.load(path) as archive:
+        numbers = sum(each.size for name, each in archive.items() if each.dtype == np.float64)
+    everything = 2 * (factor.size + sum(part.moments.size for part in groups.parts))
+    assert numbers < 0.3 * everything
 
 
 def test_loaded_observations_can_be_written_and_extended(tmp_path):
@@ -162,6 +185,7 @@ def rewritten(stored, path, **changes):
     np.savez(path, **{k: v for k, v in content.items() if v is not None})
 
 
+WIDTH = (observed()[0].layout.width * (observed()[0].layout.width + 1) // 2 + 7) // 8
 WRONG = {
     "an array missing": {"structure": None},
     "its rows missing": {"rows_1": None},
@@ -200,6 +224,11 @@ WRONG = {
     "complex samples": {"samples_0": np.array([60j, 60])},
     "seconds that are no integers": {"seconds": np.array([0.5])},
     "one second for all": {"seconds": np.array(5)},
+    "bits of other rows": {"numbers_rows_0": np.zeros(3, dtype=np.uint8)},
+    "bits that are numbers": {"numbers_rows_0": np.zeros(3)},
+    "too few bits set": {"numbers_noise_1": np.zeros(WIDTH, dtype=np.uint8)},
+    "a shared array without an owner": {"shared": np.array(["rows_0"])},
+    "a shared array of no window": {"shared": np.array(["rows_slipping_7"])},
 }
 COMPLEX = ("rows_0", "noise_1")
 HUGE = (1e200, -1e308, np.inf, np.nan)
@@ -230,7 +259,7 @@ def test_another_format_version_is_named_with_its_fix(stored, tmp_path):
     path = tmp_path / "later.npz"
     rewritten(stored, path, format=np.array(FORMAT + 1))
     with pytest.raises(
-        EstimateError, match=f"format {FORMAT + 1}, this version reads {FORMAT}; identify"
+        EstimateError, match=f"format {FORMAT + 1}, this version reads 2 and {FORMAT}; identify"
     ):
         load_archive(path)
 
