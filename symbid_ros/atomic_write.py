@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from symbid_ros.errors import OptionError, SymbidError
+from symbid_ros.shutdown import deferred
 
 
 def check_writable(folder: Path) -> None:
@@ -232,6 +233,37 @@ def staged(folder: Path) -> Iterator[Path]:
         raise _cannot_write(folder, error) from None
     finally:
         shutil.rmtree(stage, ignore_errors=True)
+
+
+@contextmanager
+def kept_until_replaced(folder: Path) -> Iterator[None]:
+    """Set a folder aside while another is made in its place, then remove it.
+
+    An exception brings it back, and removes what was made. A process that is killed leaves it in a
+    hidden folder beside. Without an earlier folder, what was made stays.
+
+    Raises
+    ------
+    SymbidError
+        If the folder cannot be moved.
+    """
+    if not folder.exists():
+        yield
+        return
+    try:
+        aside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name[:32]}."))
+        folder.rename(aside / folder.name)
+    except OSError as error:
+        raise _cannot_write(folder, error) from None
+    try:
+        yield
+    except BaseException:
+        with deferred():
+            shutil.rmtree(folder, ignore_errors=True)
+            (aside / folder.name).rename(folder)
+            aside.rmdir()
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 def _umask() -> int:

@@ -1,5 +1,6 @@
 """Outputs appear completely or not at all, and paths are checked before a computation."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from symbid_ros.atomic_write import (
     check_output_file,
     check_output_folder,
     check_writable,
+    kept_until_replaced,
     require_distinct,
     staged,
 )
@@ -140,3 +142,18 @@ def test_the_folder_of_a_bag_is_no_output_folder(tmp_path: Path, name: str) -> N
     with pytest.raises(SymbidError, match="is the folder of a bag") as refused:
         check_output_folder(tmp_path)
     assert refused.value.code == "E551"
+
+
+@pytest.mark.parametrize("fails", [None, KeyboardInterrupt, OSError])
+def test_a_folder_is_kept_until_its_replacement_is_complete(tmp_path, fails):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "earlier").touch()
+    with contextlib.suppress(KeyboardInterrupt, OSError), kept_until_replaced(folder):
+        assert not folder.exists()
+        folder.mkdir()
+        (folder / "new").touch()
+        if fails is not None:
+            raise fails
+    assert [path.name for path in folder.iterdir()] == ["new" if fails is None else "earlier"]
+    assert list(tmp_path.iterdir()) == [folder]

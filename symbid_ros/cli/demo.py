@@ -1,8 +1,8 @@
 """``symbid demo``: simulate, record, identify and report on one machine."""
 
 import logging
-import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from symbid_ros.atomic_write import check_replaceable, check_writable
+from symbid_ros.atomic_write import check_replaceable, check_writable, kept_until_replaced
 from symbid_ros.cli.learning_demo import SEED as LEARNING_SEED
 from symbid_ros.cli.learning_demo import demonstrate_learning
 from symbid_ros.cli.live import WebPort, start_page
@@ -85,19 +85,19 @@ def demo(
     console = Console()
     if seed is None:
         seed = LEARNING_SEED if learn else 0
-    prepare_folder(out, overwrite=overwrite)
     model = config_file("symbitron.xml")
-    draw_demo_prior(out, model, percent, seed)
-    if learn:
-        demonstrate_learning(out, model, moves, percent, seed, console, with_payload=payload)
+    with prepared_folder(out, overwrite=overwrite):
+        draw_demo_prior(out, model, percent, seed)
+        if learn:
+            demonstrate_learning(out, model, moves, percent, seed, console, with_payload=payload)
+        elif web:
+            demonstrate_payload(out, model, moves, seed, port, console)
+        elif online:
+            demonstrate_online(out, model, moves, seed, console)
+        else:
+            demonstrate_offline(out, model, moves, seed, console)
+    if not web:
         print_report(out, console)
-        return
-    if web:
-        demonstrate_payload(out, model, moves, seed, port, console)
-        return
-    demonstrate = demonstrate_online if online else demonstrate_offline
-    demonstrate(out, model, moves, seed, console)
-    print_report(out, console)
 
 
 def print_report(out: Path, console: Console) -> None:
@@ -119,8 +119,9 @@ def progress_bars(console: Console) -> Progress:
     )
 
 
-def prepare_folder(out: Path, *, overwrite: bool) -> None:
-    """Create an empty folder, replacing an earlier demo's with ``overwrite``."""
+@contextmanager
+def prepared_folder(out: Path, *, overwrite: bool) -> Iterator[None]:
+    """Create an empty folder; with ``overwrite`` it replaces an earlier demo's at the end."""
     check_writable(out)
     check_replaceable(
         out,
@@ -128,9 +129,9 @@ def prepare_folder(out: Path, *, overwrite: bool) -> None:
         "the folder of a demo",
         overwrite=overwrite,
     )
-    if out.exists():
-        shutil.rmtree(out)
-    out.mkdir(parents=True)
+    with kept_until_replaced(out):
+        out.mkdir(parents=True)
+        yield
 
 
 def draw_demo_prior(out: Path, model: Path, percent: float, seed: int) -> None:

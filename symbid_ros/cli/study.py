@@ -75,6 +75,7 @@ def study(
                 console.print(f"{stage.title}: {len(stage.tasks)} tasks, {done}", highlight=False)
         progress.update(bar, description="writing results")
         page = publish(content, folder)
+        folder.complete()
     typer.echo(f"wrote {page}")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from symbid_ros.atomic_write import write_text
+from symbid_ros.atomic_write import staged, write_text
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.package_paths import package_version
 from symbid_ros.report.content import TRUTH, LinkErrors
@@ -92,6 +92,9 @@ class Section:
     folded: bool = False
 
 
+PAGE = "report.html"
+
+
 def publish(plan: Plan, folder: StudyFolder) -> Path:
     """Write report.html, conclusions.md, tables/ and figures/, and return the path of the page.
 
@@ -102,18 +105,18 @@ def publish(plan: Plan, folder: StudyFolder) -> Path:
     """
     results = StudyResults.read(plan, folder)
     sections = study_sections(results)
-    for name in ("tables", "figures"):
-        shutil.rmtree(folder.out / name, ignore_errors=True)
-    for section in sections:
-        for table in section.tables:
-            write_text(folder.out / "tables" / f"{table.name}.md", table.markdown)
-            write_text(folder.out / "tables" / f"{table.name}.csv", table.csv)
-        for figure in section.figures:
-            figure.save(folder.out / "figures")
-    write_text(folder.out / "conclusions.md", _conclusions_text(plan, sections))
-    page = folder.out / "report.html"
-    write_text(page, _render(results, sections))
-    return page
+    with staged(folder.out) as out:
+        for section in sections:
+            for table in section.tables:
+                write_text(out / "tables" / f"{table.name}.md", table.markdown)
+                write_text(out / "tables" / f"{table.name}.csv", table.csv)
+            for figure in section.figures:
+                figure.save(out / "figures")
+        write_text(out / "conclusions.md", _conclusions_text(plan, sections))
+        write_text(out / PAGE, _render(results, sections))
+        for name in ("tables", "figures"):  # those of another plan have other names
+            shutil.rmtree(folder.out / name, ignore_errors=True)
+    return folder.out / PAGE
 
 
 def _render(results: StudyResults, sections: tuple[Section, ...]) -> str:

@@ -33,8 +33,16 @@ class StudyFolder:
         """Folder of logs, rows and draws."""
         return self.out / "work"
 
+    @property
+    def earlier(self) -> Path:
+        """Folder to which those of an earlier study are moved until this one is complete."""
+        return self.out / "work.earlier"
+
     def reserve(self, plan: Plan, *, overwrite: bool = False) -> None:
         """Mark the folder as this plan's, or check that an earlier run has done so.
+
+        An earlier study that is overwritten comes back if its plan is started again before this
+        one is complete.
 
         Raises
         ------
@@ -43,15 +51,25 @@ class StudyFolder:
         """
         mark = self.work / "plan.json"
         text = plan.model_dump_json(indent=1) + f"\n{package_version()}\n"
-        if overwrite and mark.is_file():
-            shutil.rmtree(self.work)
+        if mark.is_file() and overwrite:
+            if self.earlier.exists():
+                shutil.rmtree(self.work)  # an incomplete study
+            else:
+                self.work.rename(self.earlier)
+            write_text(mark, text)
+            return
         if mark.is_file():
-            if mark.read_text(encoding="utf-8") != text:
+            if mark.read_text(encoding="utf-8") == text:
+                return
+            mark = self.earlier / mark.name
+            if not mark.is_file() or mark.read_text(encoding="utf-8") != text:
                 raise StudyError(
                     f"{self.out}: holds results of another plan or version; choose another --out, "
                     "or give --overwrite to replace them",
                     "E704",
                 )
+            shutil.rmtree(self.work)
+            self.earlier.rename(self.work)
             return
         if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
             raise StudyError(
@@ -59,6 +77,10 @@ class StudyFolder:
                 "E703",
             )
         write_text(mark, text)
+
+    def complete(self) -> None:
+        """Remove an earlier study, once this one is published."""
+        shutil.rmtree(self.earlier, ignore_errors=True)
 
     def log(self, log: SimulatedLog) -> Path:
         """Return the bag of a simulated log."""

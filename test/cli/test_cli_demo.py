@@ -2,10 +2,14 @@
 
 import json
 
+import typer
 from bag_editing import topic_counts
 from preloaded import run_symbid
 from report_pages import Page
+from typer.testing import CliRunner
 
+from symbid_ros.cli import demo
+from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.truncated_svd import METHODS
 from symbid_ros.report.formatting import with_std
 
@@ -59,3 +63,23 @@ def test_the_demo_writes_all_its_files(tmp_path, monkeypatch) -> None:
     again = run_symbid("demo", "--out", out, output=tmp_path / "again")
     assert again.returncode == 2
     assert "--overwrite" in again.stderr
+
+
+def test_a_demo_that_fails_leaves_the_earlier_one(tmp_path, monkeypatch) -> None:
+    def fails(out, *_):
+        assert (out / "prior.json").is_file()
+        raise SymbidError("no", "E553")
+
+    monkeypatch.setattr(demo, "demonstrate_offline", fails)
+    out = tmp_path / "demo"
+    out.mkdir()
+    for name in ("prior.json", "report.html"):
+        (out / name).write_text("earlier")
+    app = typer.Typer()
+    app.command()(demo.demo)
+    ended = CliRunner().invoke(app, ["--out", str(out), "--overwrite"])
+    assert isinstance(ended.exception, SymbidError)
+    assert {each.name: each.read_text() for each in out.iterdir()} == {
+        "prior.json": "earlier",
+        "report.html": "earlier",
+    }

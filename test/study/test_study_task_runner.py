@@ -134,6 +134,26 @@ class TestStudyFolder:
         folder.reserve(plan(iterations=3), overwrite=True)
         assert not result.exists()
 
+    def test_an_overwritten_study_is_kept_until_the_new_one_is_complete(self, tmp_path):
+        folder = StudyFolder(tmp_path / "out")
+        folder.reserve(plan())
+        result = folder.work / "result"
+        result.write_text("of the first plan")
+        (folder.out / "report.html").write_text("published")
+        for iterations in (3, 4):  # the first of these never ends
+            folder.reserve(plan(iterations=iterations), overwrite=True)
+            assert not result.exists()
+        # The new one resumes, and the first one comes back.
+        folder.reserve(plan(iterations=4))
+        assert not result.exists()
+        folder.reserve(plan())
+        assert result.read_text() == "of the first plan"
+        folder.reserve(plan(iterations=4), overwrite=True)
+        folder.complete()
+        with pytest.raises(StudyError, match="another plan"):
+            folder.reserve(plan())
+        assert sorted(each.name for each in folder.out.iterdir()) == ["report.html", "work"]
+
     @pytest.mark.parametrize("overwrite", [False, True])
     def test_folder_of_something_else_is_rejected(self, tmp_path, overwrite):
         (tmp_path / "thesis.doc").write_text("mine")
