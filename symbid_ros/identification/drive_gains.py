@@ -43,11 +43,24 @@ class InitialFactors:
     weights : (k,) float64
         Share that each of ``joints`` has in the common scale: that of its squared effort which the
         links explain.
+    unsigned : tuple of str
+        Those whose sign the log does not show; it is taken as positive.
     """
 
     joints: tuple[str, ...]
     values: FloatArray
     weights: FloatArray
+    unsigned: tuple[str, ...] = ()
+
+    def report(self, source: str) -> None:
+        """Warn about joints of a log whose sign is not known."""
+        if self.unsigned:
+            logger.warning(
+                "%s: the log does not show the sign of the effort of %s, which is taken as "
+                "positive; move the joint more, or leave it out of `drive_gain`",
+                source,
+                ", ".join(self.unsigned),
+            )
 
 
 @dataclass(frozen=True)
@@ -123,14 +136,9 @@ def initial_factors(
     values = np.ones(len(model.joints))
     for (joint, one), guess in zip(found.items(), guesses, strict=True):
         values[model.joint_names.index(joint)] = one.sign * guess
-        if not one.is_certain:
-            logger.warning(
-                "%s: the log does not show the sign of its effort; it is taken as positive. Move "
-                "the joint more, or leave it out of `drive_gain`",
-                joint,
-            )
+    unsigned = tuple(joint for joint, one in found.items() if not one.is_certain)
     weights = weights if weights.any() else np.ones(len(joints))
-    return InitialFactors(joints, values, weights / weights.sum())
+    return InitialFactors(joints, values, weights / weights.sum(), unsigned)
 
 
 def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:

@@ -49,7 +49,7 @@ QUARTER, MOSTLY = 0.25, 0.5
 NO_OPTION = "no option models it, and the standard deviations allow for it"
 WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of warm drives"
 WRONG_EFFORTS = (
-    "likely cause: the factors of the efforts that another alarm names; correct these first"
+    "the factors of the efforts that another alarm names may explain it; correct these first"
 )
 EFFECTS = {
     "viscous": "viscous friction",

@@ -337,6 +337,7 @@ def _check(
         return NO_CHECKS
     factors = first_factors(options, dataset, parameters, prior)
     if factors is not None:
+        factors.report(dataset.source)
         dataset = replace(dataset, segments=ConvertedSegments(dataset.segments, factors.values))
     robot, kinds = _expected_robot(parameters, prior), options.sensor_error_kinds
     return check_dataset(dataset, streams, robot, estimated=kinds, watch=watch)

@@ -8,6 +8,8 @@ from drive_logs import arm, drives, log_of
 
 import symbid_ros as sy
 from symbid_ros.errors import OptionError
+from symbid_ros.identification.loaded_problem import load_problem
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.inertia import phi_from_com
@@ -175,3 +177,19 @@ def test_wrong_torque_constants_are_identified_with_an_alarm(robot, model, seed)
     assert not alarms
     assert not kept.estimate.verdict.sensors
     assert kept.estimate.holdout.percent_after > 3 * wrong.estimate.holdout.percent_after
+
+
+def test_a_sign_that_the_log_does_not_show_is_reported_once_if_factors_are_asked_for(robot, caplog):
+    joints = log_of(robot, drives(robot)).streams().joints
+    effort = joints.effort.copy()
+    effort[:, 1] = np.random.default_rng(0).normal(size=len(effort))
+    time = (joints.stamp - joints.stamp[0]) * 1e-9
+    log = sy.Log.from_arrays(robot, time=time, position=joints.position, effort=effort)
+    options = IdentifyOptions(no_holdout=True)
+    problem = load_problem(robot, log, options)
+    problem.with_drive_gains(("all",))  # a trial that nobody asked for
+    assert "the sign of the effort" not in caplog.text
+    load_problem(robot, log, replace(options, drive_gain=("all",)))
+    said = [one for one in caplog.messages if "the sign of the effort" in one]
+    assert len(said) == 1
+    assert "the effort of joint_1, which" in said[0]
