@@ -98,7 +98,8 @@ def pack_observations(observations: Sequence[Observations]) -> dict[str, Any]:
             continue
         for name, values in _arrays(one.slipping, f"{SLIPPING}{index}").items():
             # They are the same where no joint sticks.
-            if np.array_equal(values, arrays.get(name.replace(SLIPPING, ""))):
+            twin = arrays.get(name.replace(SLIPPING, ""))
+            if twin is not None and np.array_equal(values, twin):
                 shared.append(name)
             else:
                 content[name] = values
