@@ -20,6 +20,7 @@ from symbid_ros.identification.drive_gains import named_joints
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.report_data import ForceSeries
 from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.options import robot_file_line
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN, SensorErrors
 
 # Prior deviation of the factors, and their least mean square in deviations. It is .2 to 3.5 on
@@ -100,9 +101,12 @@ def wrong_factors(
             "efforts as they are",
             some,
         )
+    line = robot_file_line(
+        "effort_scale", *(f"{name}:={1 / at:.3g}" for name, at in unlike.items())
+    )
     return WrongFactors(
-        f"{_alarm(unlike, before, every.checked)}, or let `drive_gain` all identify the factors, "
-        "which leaves the scale of the masses open without a known payload",
+        f"{_alarm(unlike, before, every.checked)}, or write {line}, or let `drive_gain` all "
+        "identify the factors, which leaves the scale of the masses open without a known payload",
         None,
     )
 
