@@ -420,7 +420,7 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
         raise ModelError(
             f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
             f"has {', '.join(names)}; if these are other names of the same joints, `symbid init` "
-            "finds them from a bag and writes a robot file; otherwise name every topic of joint "
+            "finds them and writes a robot file; otherwise name every topic of joint "
             f"states (`joint_topic`), give `rename_joint` NAME:={missing[0]} or `hold_joint` "
             f"{missing[0]}:=POSITION, or the model of this robot",
             "E306",

@@ -156,7 +156,7 @@ def test_an_option_of_the_command_line_comes_first(
     )
     assert ended.returncode == 2
     assert "has no joint" in ended.stderr
-    assert "`symbid init` finds them from a bag and writes a robot file" in ended.stderr
+    assert "`symbid init` finds them and writes a robot file" in ended.stderr
 
 
 def test_a_model_is_needed(symbid_here, foreign, tmp_path) -> None:
