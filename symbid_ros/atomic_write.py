@@ -252,15 +252,20 @@ def kept_until_replaced(folder: Path) -> Iterator[None]:
         return
     try:
         aside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name[:32]}."))
-        folder.rename(aside / folder.name)
     except OSError as error:
         raise _cannot_write(folder, error) from None
+    earlier = aside / folder.name
     try:
+        try:
+            folder.rename(earlier)
+        except OSError as error:
+            raise _cannot_write(folder, error) from None
         yield
     except BaseException:
         with deferred():
-            shutil.rmtree(folder, ignore_errors=True)
-            (aside / folder.name).rename(folder)
+            if earlier.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                earlier.rename(folder)
             aside.rmdir()
         raise
     shutil.rmtree(aside, ignore_errors=True)
