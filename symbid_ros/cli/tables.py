@@ -15,13 +15,9 @@ from symbid_ros.cli.flags import flag
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.verdict import Verdict
+from symbid_ros.identification.error_changes import describe_files, percent
 from symbid_ros.identification.force_errors import ForceError
-from symbid_ros.identification.validation import (
-    Comparison,
-    Validation,
-    describe_files,
-    percent,
-)
+from symbid_ros.identification.validation import Comparison, Validation
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.options import spelled
 from symbid_ros.report.content import METRICS, MethodResult, best_labels
@@ -376,7 +372,7 @@ def print_validation(found: Validation) -> None:
             f"normalised square {found.normalized_square:.2f}",
             soft_wrap=True,
         )
-    style = "green" if found.is_better else "bold red"
+    style = "bold red" if not found.is_better else "green" if found.is_covered else "yellow"
     console.print(Text(found.verdict, style=style), soft_wrap=True)
 
 

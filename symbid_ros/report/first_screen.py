@@ -8,10 +8,10 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.identification.error_changes import describe_files, percent, percent_change
 from symbid_ros.identification.force_errors import differ_relevantly
 from symbid_ros.identification.holdout import REPEATED
 from symbid_ros.identification.report_data import ReportData
-from symbid_ros.identification.validation import describe_files, percent, percent_change
 from symbid_ros.report.content import PRIOR, MethodResult, ReportContent
 from symbid_ros.report.formatting import ABSENT, significant, with_std
 from symbid_ros.report.robot_summary import RobotSummary
