@@ -1,7 +1,7 @@
 """Checks signs, frames and gains of wrenches and efforts by the equation of motion."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,6 +31,25 @@ SMALLEST = 1e-4
 # Several faults of one kind may have one cause. More faults than this of several kinds are
 # reported as one contradiction.
 MOST_FAULTS = 2
+
+
+@dataclass(frozen=True)
+class SignConversions:
+    """What the user's options have changed in efforts and wrenches before they are checked.
+
+    Attributes
+    ----------
+    effort_scale : mapping of str to float
+        Factors of joints' efforts.
+    flipped : frozenset of str
+        Frames whose wrenches are reversed.
+    """
+
+    effort_scale: Mapping[str, float] = field(default_factory=dict)
+    flipped: frozenset[str] = frozenset()
+
+
+NO_CONVERSIONS = SignConversions()
 
 
 @dataclass(frozen=True)
@@ -68,6 +87,8 @@ def check_forces(
     joints: str,
     imus: Sequence[str],
     topics: Mapping[str, str],
+    *,
+    conversions: SignConversions = NO_CONVERSIONS,
 ) -> ForceVerdict:
     """Check signs, frames and gains of wrenches and efforts.
 
@@ -81,6 +102,8 @@ def check_forces(
         Topics.
     topics : mapping of str to str
         The wrench topic of each frame.
+    conversions : SignConversions
+        What the user's options have changed already.
     """
     frames = gains.sensors.wrench_frames
     loaded = np.flatnonzero(statistics.is_loaded).tolist()
@@ -115,13 +138,16 @@ def check_forces(
         *(
             one
             for index, turn in rotations.items()
-            for one in _wrench_findings(topics[frames[index]], frames[index], turn, common)
+            for one in _wrench_findings(
+                topics[frames[index]], frames[index], turn, common, conversions=conversions
+            )
             if is_anchored or one.kind is not Kind.WRENCH_GAIN
         ),
-        *_effort_findings(joints, known, common),
+        *_effort_findings(joints, known, common, conversions),
     ]
     if not found and not statistics.model.floating and _are_reversed(efforts):
-        found = [_sign_finding(joints, {name: gain for name, (gain, _) in efforts.items()}, True)]
+        reversed_gains = {name: gain for name, (gain, _) in efforts.items()}
+        found = [_sign_finding(joints, reversed_gains, conversions, are_all=True)]
     several = len(found) > MOST_FAULTS and len({one.kind for one in found}) > 1
     # Vanishing gains explain any log.
     vanishing = bool(found or rotations) and not EXPLAINED[0] <= common <= EXPLAINED[1]
@@ -227,7 +253,14 @@ def _unexplained(
     )
 
 
-def _wrench_findings(topic: str, frame: str, turn: RotationFit, common: float) -> Iterator[Finding]:
+def _wrench_findings(
+    topic: str,
+    frame: str,
+    turn: RotationFit,
+    common: float,
+    *,
+    conversions: SignConversions = NO_CONVERSIONS,
+) -> Iterator[Finding]:
     evidence = turn.plain - turn.cost
     if turn.sign < 0 and evidence > MIN_EVIDENCE:
         yield Finding(
@@ -236,7 +269,11 @@ def _wrench_findings(topic: str, frame: str, turn: RotationFit, common: float) -
             Severity.UNUSABLE,
             f"{topic}: has the wrong sign (gain {turn.sign * turn.scale / common:.2f} relative "
             f"to the others); publish the wrench of the environment on the robot in {frame}, or "
-            f"write {robot_file_line('flip_wrench', frame)}",
+            + (
+                f"remove {frame} from `flip_wrench`, which reverses it"
+                if frame in conversions.flipped
+                else f"write {robot_file_line('flip_wrench', frame)}"
+            ),
             {"gain": turn.sign * turn.scale / common, "evidence": evidence},
         )
     elif turn.angle > SMALLEST_ANGLE and evidence > MIN_EVIDENCE:
@@ -262,13 +299,17 @@ def _wrench_findings(topic: str, frame: str, turn: RotationFit, common: float) -
 
 
 def _effort_findings(
-    topic: str, known: Mapping[str, tuple[float, float]], common: float
+    topic: str,
+    known: Mapping[str, tuple[float, float]],
+    common: float,
+    conversions: SignConversions = NO_CONVERSIONS,
 ) -> Iterator[Finding]:
     # The deviation is that of the ratio 1/g, relative to the ratio.
     negative = [name for name, (gain, std) in known.items() if gain < 0 and DEVIATIONS * std < 1]
     if negative:
         are_all = len(negative) > 2 and len(negative) == len(known)
-        yield _sign_finding(topic, {name: known[name][0] / common for name in negative}, are_all)
+        reversed_gains = {name: known[name][0] / common for name in negative}
+        yield _sign_finding(topic, reversed_gains, conversions, are_all=are_all)
     wrong = {}
     for name, (gain, std) in known.items():
         # The standard deviation includes the errors of the inertias.
@@ -292,8 +333,13 @@ def _effort_findings(
         )
 
 
-def _sign_finding(topic: str, gains: Mapping[str, float], are_all: bool) -> Finding:
+def _sign_finding(
+    topic: str, gains: Mapping[str, float], conversions: SignConversions, *, are_all: bool
+) -> Finding:
     """Return the finding that joints with these gains have the wrong sign."""
+    given = {name: conversions.effort_scale.get(name, 1.0) for name in gains}
+    stated = [f"{name}:={scale:g}" for name, scale in given.items() if scale != 1.0]
+    instead = f" instead of {', '.join(stated)}" if stated else ""
     return Finding(
         Kind.TORQUE_SIGN,
         topic,
@@ -301,7 +347,8 @@ def _sign_finding(topic: str, gains: Mapping[str, float], are_all: bool) -> Find
         f"{topic}: effort of {'all joints' if are_all else ', '.join(gains)} has the wrong sign "
         f"(gain {np.mean(list(gains.values())):.2f} relative to the others); publish it along the "
         "joint's axis, or write "
-        + robot_file_line("effort_scale", *(f"{name}:=-1" for name in gains)),
+        + robot_file_line("effort_scale", *(f"{name}:={-scale:g}" for name, scale in given.items()))
+        + instead,
         {f"{name}/gain": gain for name, gain in gains.items()},
     )
 

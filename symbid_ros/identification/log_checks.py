@@ -154,6 +154,7 @@ def check_dataset(
             checks.joint_topic,
             checks.imu_topics,
             checks.wrench_topics,
+            conversions=checks.conversions,
         ).findings
     mountings = {}
     tares = {}

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.diagnosis.findings import Kind, Severity
 from symbid_ros.diagnosis.forces import (
+    SignConversions,
     _effort_findings,
     _is_known,
     _median_gain,
@@ -303,6 +304,20 @@ def test_all_joints_are_named_together_from_three_on():
     assert "effort of all joints reads 10 times" in gains.message
     (pair,) = _effort_findings("/joints", known(0.1, 0.1), 1.0)
     assert "effort of 0, 1 reads 10 times" in pair.message
+
+
+def test_advice_about_signs_builds_on_the_conversions_that_are_given():
+    """A user who reversed an effort by mistake is not told to reverse it once more."""
+    given = SignConversions({"0": -1.0, "1": 0.11}, frozenset({"left"}))
+    (found,) = _effort_findings("/joints", known(-1, -1), 1.0, given)
+    assert 'effort_scale: ["0:=1", "1:=-0.11"] in robot.yaml instead of 0:=-1, 1:=0.11' in (
+        found.message
+    )
+    (plain,) = _effort_findings("/joints", known(-1, 1), 1.0)
+    assert plain.message.endswith('effort_scale: ["0:=-1"] in robot.yaml')
+    turn = RotationFit(-1, IDENTITY, 0.0, 1.0, 0, 90)
+    (wrench,) = _wrench_findings("/left", "left", turn, 1.0, conversions=given)
+    assert "remove left from `flip_wrench`" in wrench.message
 
 
 def test_similar_errors_are_one_group():
