@@ -191,11 +191,10 @@ def _describe_findings(log: ReportData) -> str:
 
 def _mass(summary: RobotSummary) -> KeyFigure:
     title = "Total mass" if summary.is_floating else "Mass of the moving links"
-    return KeyFigure(
-        title,
-        f"{with_std(summary.mass, summary.mass_std)} kg",
-        f"original {significant(summary.mass_before, 4)} kg",
-    )
+    original = f"original {significant(summary.mass_before, 4)} kg"
+    if summary.is_mass_measured is False:
+        original = f"not measured by this log, mostly the model file’s; {original}"
+    return KeyFigure(title, f"{with_std(summary.mass, summary.mass_std)} kg", original)
 
 
 def _com(summary: RobotSummary) -> KeyFigure:
