@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from arm_log import arm_streams
+from browser import PHONE
 from documented_robots import ur5_urdf
 from fleet import HEAVIER, simulate
 from json_schemas import require_valid
@@ -50,6 +51,13 @@ def test_the_page_names_the_link_and_holds_no_script(draw) -> None:
     page = render_fleet(draw.estimate)
     assert f"{draw.robot}: {draw.link} is" in page.replace("\N{NO-BREAK SPACE}", " ")
     assert "<script" not in page
+
+
+def test_the_page_fits_a_phone(draw, browser, tmp_path) -> None:
+    page = tmp_path / "fleet.html"
+    page.write_text(render_fleet(draw.estimate))
+    with browser.page(page, PHONE) as shown:
+        assert shown.overflow == []
 
 
 def gaussian_fleet(rng, shift: float) -> tuple[list[FleetMember], ParameterSet]:
