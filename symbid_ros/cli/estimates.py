@@ -155,10 +155,14 @@ def evaluate(
     ] = None,
     base: BaseKind = "auto",
 ) -> None:
-    """Compute the errors of an estimate or a prior from the ground truth of a simulated bag."""
+    """Compute the errors of an estimate or a prior from the ground truth of a simulated bag.
+
+    Joints with Coulomb friction do not count in errors of forces while they may stick.
+    """
     from symbid_ros.atomic_write import check_output_file, write_text
     from symbid_ros.cli.tables import errors_table
     from symbid_ros.identification.evaluation import evaluate as evaluate_ideal
+    from symbid_ros.identification.evaluation import sticking_share
     from symbid_ros.identification.intervals import LEVEL, summarise_intervals
     from symbid_ros.identification.realistic_prediction import evaluate_realistic
     from symbid_ros.identification.result_files import load_estimated_model
@@ -181,7 +185,8 @@ def evaluate(
     motion = read_true_motion(bag, robot, internal)
     noisy = read_realistic_motion(realistic, robot, low_pass, internal) if realistic else None
     ideal = asdict(evaluate_ideal(parameters, {"": values}, truth, motion)[""])
-    errors: dict[str, object] = dict(ideal)
+    sticking = 100 * sticking_share(parameters, truth, motion)
+    errors: dict[str, object] = {**ideal, "sticking_pct": sticking}
     tables = [errors_table("", ideal)]
     if estimated.deviation_factor is not None:
         summary = asdict(
@@ -196,6 +201,11 @@ def evaluate(
         errors["realistic"] = predicted
         tables.append(errors_table("from noisy sensors", predicted))
     Console().print(*tables, sep="\n")
+    if sticking:
+        typer.echo(
+            f"{sticking:.2g} % of the joints' instants are left out of errors of forces: a joint "
+            "with Coulomb friction may stick there, and no model predicts its effort"
+        )
     if json_file is not None:
         write_text(json_file, json.dumps(versioned("evaluation", errors), indent=1) + "\n")
 

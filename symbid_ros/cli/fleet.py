@@ -33,7 +33,7 @@ def fleet(
     """
     from symbid_ros.atomic_write import check_output_file, write_text
     from symbid_ros.identification.fleet import fleet_document, fleet_of_results
-    from symbid_ros.report.fleet_page import fleet_rows, render_fleet
+    from symbid_ros.report.fleet_page import COLUMNS, LEGEND, fleet_rows, render_fleet
     from symbid_ros.report.templates import is_page
 
     if out is not None:
@@ -48,8 +48,9 @@ def fleet(
     else:
         console = Console(highlight=False)
         rows = [(name, cells) for name, *cells in fleet_rows(found)]
-        groups = ("kg", "± kg", "one robot ± kg"), found.robots
+        groups = COLUMNS, found.robots
         print_table(console, "link", groups, rows, style=HEAVY_HEAD)
+        console.print(Text(LEGEND), soft_wrap=True)
         spread = ", ".join(f"{name} {100 * size:.2g} %" for name, size in found.spread.items())
         console.print(Text(f"between robots: {spread}"), soft_wrap=True)
         style = "bold red" if found.deviations else "green"

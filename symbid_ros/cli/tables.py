@@ -15,19 +15,21 @@ from symbid_ros.cli.flags import flag
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.verdict import Verdict
+from symbid_ros.identification.error_changes import describe_files, percent
 from symbid_ros.identification.force_errors import ForceError
-from symbid_ros.identification.validation import (
-    Comparison,
-    Validation,
-    describe_files,
-    percent,
-)
+from symbid_ros.identification.validation import Comparison, Validation
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.options import spelled
-from symbid_ros.report.content import METRICS, MethodResult, best_labels
+from symbid_ros.report.content import METRICS, REALISTIC_METRICS, MethodResult, best_labels
 from symbid_ros.report.formatting import counted, significant
 
 ERRORS = ("measured", "before", "after"), ("before %", "after %", "in 90 %")
+LEGEND = (
+    "before: RMS error of the original model, after: of the identified model, both in the unit of "
+    "measured"
+)
+# Units of errors whose names do not state them.
+UNITS = {one.key: one.unit for one in (*METRICS, *REALISTIC_METRICS)} | {"torque_std": "Nm"}
 SHOWN = 20  # number of lost ranges to print; --json gives all
 
 
@@ -321,7 +323,7 @@ def errors_table(title: str, errors: Mapping[str, float]) -> Table:
     """Return a table of errors by name."""
     table = Table(show_header=False, title=title, title_justify="left")
     for name, value in errors.items():
-        table.add_row(name, f"{value:.4g}")
+        table.add_row(name, f"{value:.4g}", UNITS.get(name, ""))
     return table
 
 
@@ -361,7 +363,7 @@ def print_validation(found: Validation) -> None:
     rows: list[Row] = [(error.name, _error_cells(error)) for error in found.coordinates]
     rows += [None, *((error.name, _error_cells(error)) for error in found.groups)]
     print_table(console, "", ERRORS, rows)
-    console.print(Text("before: original model, after: identified model"), soft_wrap=True)
+    _print_legend(console, [*found.coordinates, *found.groups])
     if found.slow is not None:
         console.print(f"slow stretches: {found.slow_seconds:.1f} s, loaded by gravity alone")
     if (mass := found.mass) is not None:
@@ -376,8 +378,22 @@ def print_validation(found: Validation) -> None:
             f"normalised square {found.normalized_square:.2f}",
             soft_wrap=True,
         )
-    style = "green" if found.is_better else "bold red"
+    style = "bold red" if not found.is_better else "green" if found.is_covered else "yellow"
     console.print(Text(found.verdict, style=style), soft_wrap=True)
+
+
+def _print_legend(console: Console, errors: Sequence[ForceError]) -> None:
+    console.print(Text(LEGEND), soft_wrap=True)
+    if any(one.coverage is None for one in errors):
+        console.print(
+            Text(
+                "in 90 %: – if the deviation of the errors is unknown, as of methods without a "
+                "covariance, or if the compared results have windows of different lengths"
+            ),
+            soft_wrap=True,
+        )
+    if any(one.percent_after is None for one in errors):
+        console.print(Text("before %, after %: – if nothing was measured"), soft_wrap=True)
 
 
 def _error_cells(error: ForceError) -> list[str]:
@@ -397,4 +413,5 @@ def print_comparison(found: Comparison) -> None:
     console = Console(highlight=False)
     rows = [(one.result, _error_cells(one.main)) for one in found.ranking]
     print_table(console, "result", ERRORS, rows)
+    _print_legend(console, [one.main for one in found.ranking])
     console.print(Text(found.verdict), soft_wrap=True)

@@ -40,7 +40,7 @@ from symbid_ros.estimation.provenance import InputFile
 from symbid_ros.identification.assumed_contacts import naming_contacts
 from symbid_ros.identification.dataset import SPAN, Dataset, DistributedSegments, Processing
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
-from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks
+from symbid_ros.identification.log_checks import BIASING, NO_CHECKS, LogChecks
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.load import load_model, model_files
@@ -189,7 +189,7 @@ class ClusterSegments(DistributedSegments):
 
 
 def _findings(found: dict[str, Any]) -> Iterator[Finding]:
-    """Yield the worst finding of each kind and stream, worst first, and log it."""
+    """Yield the worst finding of each kind and stream, worst first; log those without an alarm."""
     every = [
         Finding(Kind(kind), stream, Severity(severity), message, figures)
         for kind, stream, severity, message, figures in found["findings"]
@@ -201,7 +201,8 @@ def _findings(found: dict[str, Any]) -> Iterator[Finding]:
     for same in first.values():
         others = f"; likewise in {len(same) - 1} other parts of the log" if len(same) > 1 else ""
         one = replace(same[0], message=same[0].message + others)
-        logger.warning("%s", one.message)
+        if one.kind not in BIASING:
+            logger.warning("%s", one.message)
         yield one
 
 

@@ -138,6 +138,7 @@ class _LogDiagnoser:
             self.first.joints.topic,
             [one.topic for one in self.first.imus],
             self.streams.wrench_topics,
+            conversions=self.streams.conversions,
         )
         if self.statistics.rows.samples < 1:
             checks.findings.append(self._shortage())

@@ -1,7 +1,7 @@
 """Checks signs, frames and gains of wrenches and efforts by the equation of motion."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,6 +31,33 @@ SMALLEST = 1e-4
 # Several faults of one kind may have one cause. More faults than this of several kinds are
 # reported as one contradiction.
 MOST_FAULTS = 2
+
+
+@dataclass(frozen=True)
+class SignConversions:
+    """What the user's options have changed in efforts and wrenches before they are checked.
+
+    Attributes
+    ----------
+    effort_scale : mapping of str to float
+        Factors of joints' efforts.
+    flipped : frozenset of str
+        Frames whose wrenches are reversed.
+    """
+
+    effort_scale: Mapping[str, float] = field(default_factory=dict)
+    flipped: frozenset[str] = frozenset()
+
+    def effort_line(self, factors: Mapping[str, float]) -> str:
+        """Return the robot file's line that multiplies efforts, as they are read now, by these."""
+        given = {name: self.effort_scale.get(name, 1.0) for name in factors}
+        stated = [f"{name}:={scale:g}" for name, scale in given.items() if scale != 1.0]
+        products = (f"{name}:={one * given[name]:.3g}" for name, one in factors.items())
+        line = robot_file_line("effort_scale", *products)
+        return f"{line} instead of {', '.join(stated)}" if stated else line
+
+
+NO_CONVERSIONS = SignConversions()
 
 
 @dataclass(frozen=True)
@@ -68,6 +95,8 @@ def check_forces(
     joints: str,
     imus: Sequence[str],
     topics: Mapping[str, str],
+    *,
+    conversions: SignConversions = NO_CONVERSIONS,
 ) -> ForceVerdict:
     """Check signs, frames and gains of wrenches and efforts.
 
@@ -81,6 +110,8 @@ def check_forces(
         Topics.
     topics : mapping of str to str
         The wrench topic of each frame.
+    conversions : SignConversions
+        What the user's options have changed already.
     """
     frames = gains.sensors.wrench_frames
     loaded = np.flatnonzero(statistics.is_loaded).tolist()
@@ -115,13 +146,22 @@ def check_forces(
         *(
             one
             for index, turn in rotations.items()
-            for one in _wrench_findings(topics[frames[index]], frames[index], turn, common)
+            for one in _wrench_findings(
+                topics[frames[index]], frames[index], turn, common, conversions=conversions
+            )
             if is_anchored or one.kind is not Kind.WRENCH_GAIN
         ),
-        *_effort_findings(joints, known, common, [name for name in efforts if name not in known]),
+        *_effort_findings(
+            joints,
+            known,
+            common,
+            [name for name in efforts if name not in known],
+            conversions=conversions,
+        ),
     ]
     if not found and not statistics.model.floating and _are_reversed(efforts):
-        found = [_sign_finding(joints, {name: gain for name, (gain, _) in efforts.items()}, True)]
+        reversed_gains = {name: gain for name, (gain, _) in efforts.items()}
+        found = [_sign_finding(joints, reversed_gains, conversions, are_all=True)]
     several = len(found) > MOST_FAULTS and len({one.kind for one in found}) > 1
     # Vanishing gains explain any log.
     vanishing = bool(found or rotations) and not EXPLAINED[0] <= common <= EXPLAINED[1]
@@ -231,7 +271,14 @@ def _unexplained(
     )
 
 
-def _wrench_findings(topic: str, frame: str, turn: RotationFit, common: float) -> Iterator[Finding]:
+def _wrench_findings(
+    topic: str,
+    frame: str,
+    turn: RotationFit,
+    common: float,
+    *,
+    conversions: SignConversions = NO_CONVERSIONS,
+) -> Iterator[Finding]:
     evidence = turn.plain - turn.cost
     if turn.sign < 0 and evidence > MIN_EVIDENCE:
         yield Finding(
@@ -240,7 +287,11 @@ def _wrench_findings(topic: str, frame: str, turn: RotationFit, common: float) -
             Severity.UNUSABLE,
             f"{topic}: has the wrong sign (gain {turn.sign * turn.scale / common:.2f} relative "
             f"to the others); publish the wrench of the environment on the robot in {frame}, or "
-            f"write {robot_file_line('flip_wrench', frame)}",
+            + (
+                f"remove {frame} from `flip_wrench`, which reverses it"
+                if frame in conversions.flipped
+                else f"write {robot_file_line('flip_wrench', frame)}"
+            ),
             {"gain": turn.sign * turn.scale / common, "evidence": evidence},
         )
     elif turn.angle > SMALLEST_ANGLE and evidence > MIN_EVIDENCE:
@@ -270,6 +321,8 @@ def _effort_findings(
     known: Mapping[str, tuple[float, float]],
     common: float,
     unknown: Sequence[str] = (),
+    *,
+    conversions: SignConversions = NO_CONVERSIONS,
 ) -> Iterator[Finding]:
     """Yield findings about signs and gains of efforts.
 
@@ -282,12 +335,15 @@ def _effort_findings(
         The gain of the other sensors.
     unknown : sequence of str
         The other driven joints.
+    conversions : SignConversions
+        Those that the user gave.
     """
     # The deviation is that of the ratio 1/g, relative to the ratio.
     negative = [name for name, (gain, std) in known.items() if gain < 0 and DEVIATIONS * std < 1]
     if negative:
         are_all = len(negative) > 2 and len(negative) == len(known)
-        yield _sign_finding(topic, {name: known[name][0] / common for name in negative}, are_all)
+        reversed_gains = {name: known[name][0] / common for name in negative}
+        yield _sign_finding(topic, reversed_gains, conversions, are_all=are_all)
     wrong = {}
     for name, (gain, std) in known.items():
         # The standard deviation includes the errors of the inertias.
@@ -300,7 +356,7 @@ def _effort_findings(
     are_all = len(known) > 2 and [len(names) for names in groups] == [len(known)]
     usual = dict.fromkeys(unknown, float(np.median(list(wrong.values())))) if are_all else {}
     factors = {name: 1 / one for name, one in (wrong | usual).items()}
-    line = robot_file_line("effort_scale", *(f"{name}:={one:.3g}" for name, one in factors.items()))
+    line = conversions.effort_line(factors)
     drives = "all" if are_all else ",".join(factors)
     for names in groups:
         reads = float(np.median([wrong[name] for name in names]))
@@ -317,7 +373,9 @@ def _effort_findings(
         )
 
 
-def _sign_finding(topic: str, gains: Mapping[str, float], are_all: bool) -> Finding:
+def _sign_finding(
+    topic: str, gains: Mapping[str, float], conversions: SignConversions, *, are_all: bool
+) -> Finding:
     """Return the finding that joints with these gains have the wrong sign."""
     return Finding(
         Kind.TORQUE_SIGN,
@@ -325,8 +383,7 @@ def _sign_finding(topic: str, gains: Mapping[str, float], are_all: bool) -> Find
         Severity.UNUSABLE,
         f"{topic}: effort of {'all joints' if are_all else ', '.join(gains)} has the wrong sign "
         f"(gain {np.mean(list(gains.values())):.2f} relative to the others); publish it along the "
-        "joint's axis, or write "
-        + robot_file_line("effort_scale", *(f"{name}:=-1" for name in gains)),
+        f"joint's axis, or write {conversions.effort_line(dict.fromkeys(gains, -1.0))}",
         {f"{name}/gain": gain for name, gain in gains.items()},
     )
 

@@ -15,6 +15,8 @@ from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.forces import (
     MAX_ROTATION_COST,
     MIN_EVIDENCE,
+    NO_CONVERSIONS,
+    SignConversions,
     check_forces,
     reversed_imu_finding,
     rotated_imu_finding,
@@ -103,7 +105,12 @@ class ModelChecks:
 
 
 def check_model(
-    statistics: ModelStatistics, joints: str, imus: Sequence[str], wrenches: Mapping[str, str]
+    statistics: ModelStatistics,
+    joints: str,
+    imus: Sequence[str],
+    wrenches: Mapping[str, str],
+    *,
+    conversions: SignConversions = NO_CONVERSIONS,
 ) -> ModelChecks:
     """Check the accumulated statistics of a log.
 
@@ -117,6 +124,8 @@ def check_model(
         Topics of the IMUs.
     wrenches : mapping of str to str
         Topic of each wrench frame, wrist sensors included.
+    conversions : SignConversions
+        What the user's options have changed already.
     """
     checks = ModelChecks()
     _check_wrist_sensors(checks, statistics, wrenches)
@@ -126,7 +135,7 @@ def check_model(
         return checks
     problem = statistics.problem
     gains = estimate_gains(problem)
-    verdict = check_forces(statistics, gains, joints, imus, wrenches)
+    verdict = check_forces(statistics, gains, joints, imus, wrenches, conversions=conversions)
     if payloads := {one.stream for one in checks.findings if one.kind is Kind.WRIST_SENSOR}:
         verdict = verdict.without(payloads)
     if verdict.findings and any(one.kind is Kind.DELAY for one in checks.findings):

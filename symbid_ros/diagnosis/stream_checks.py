@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity
+from symbid_ros.diagnosis.forces import NO_CONVERSIONS, SignConversions
 from symbid_ros.diagnosis.imu_checks import ImuCheck, QuaternionCheck
 from symbid_ros.diagnosis.jitter import JitterCheck
 from symbid_ros.diagnosis.joint_checks import JointCheck
@@ -35,6 +36,8 @@ class StreamChecks:
         Topics of the first such slice.
     wrench_topics : dict of str to str
         Its topics of wrenches, by frame.
+    conversions : SignConversions
+        What the user's options have changed in its efforts and wrenches.
     """
 
     model: RobotModel | None
@@ -44,6 +47,7 @@ class StreamChecks:
     joint_topic: str = ""
     imu_topics: tuple[str, ...] = ()
     wrench_topics: dict[str, str] = field(default_factory=dict)
+    conversions: SignConversions = NO_CONVERSIONS
     _quaternion_checks: dict[str, QuaternionCheck] = field(default_factory=dict)
     _imu_checks: dict[str, ImuCheck] = field(default_factory=dict)
     _joint_check: JointCheck | None = None
@@ -82,6 +86,10 @@ class StreamChecks:
             self.joint_topic = streams.joints.topic
             self.imu_topics = tuple(imu.topic for imu in streams.imus)
             self.wrench_topics = {one.frame_id: one.topic for one in streams.wrenches}
+            self.conversions = SignConversions(
+                streams.joints.effort_scale,
+                frozenset(one.frame_id for one in streams.wrenches if one.is_flipped),
+            )
         self.has_streams = True
 
     def unit_findings(self) -> list[Finding]:

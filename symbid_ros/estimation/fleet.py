@@ -25,12 +25,12 @@ from scipy.linalg import block_diag
 from scipy.stats import chi2
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.fleet_changes import DENSER, LEVEL, LinkChange, link_change
 from symbid_ros.estimation.mass_scale import FORCE_SCALE_STD
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior_std import body_covariance, payload_std, term_scale
 from symbid_ros.model.parameters import ParameterSet
 
-LEVEL = 0.01  # chance of a false alarm in the whole fleet
 # Information below which a direction of a robot is not used, relative to the prior's.
 LEAST_INFORMATION = 1e-6
 LINKS = "links"  # group of all moments of all links
@@ -38,8 +38,6 @@ LINKS = "links"  # group of all moments of all links
 FIRST_SPREAD, LEAST_SPREAD = 0.01, 1e-4
 ITERATIONS = 200
 CONVERGED = 1e-3
-# Relative deviation of a link that is denser or lighter than the others of the fleet.
-DENSER = 0.25
 # Places whose evidence is smaller than the best one's by this, nat, are ruled out.
 DISTINGUISHABLE = 5.0
 # A deviation of a joint term of which nothing is known, relative to that of the prior.
@@ -118,6 +116,8 @@ class FleetEstimate:
         joint term.
     deviations : tuple of Deviation
         Robots that differ, the most evident first.
+    link_changes : tuple of tuple of (LinkChange or None)
+        Of each link of each robot; None if the data do not show a change of the link.
     tests : int
         Number of places and robots that were tested.
     """
@@ -132,6 +132,7 @@ class FleetEstimate:
     robots: tuple[str, ...]
     spread: dict[str, float]
     deviations: tuple[Deviation, ...]
+    link_changes: tuple[tuple[LinkChange | None, ...], ...]
     tests: int
 
 
@@ -210,9 +211,15 @@ def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> 
         own, spread = fit.member(robot)
         values.append(prior.mean + L @ own)
         stds.append(_norms(L @ _root(spread)))
+    tests = len(members) * len(places)
+    links = list(zip(places, scaled, strict=True))[: len(parameters.link_names)]
+    changes = [
+        [_link_change(fit, robot, place, factors, L, tests=tests) for place, factors in links]
+        for robot in range(len(members))
+    ]
     deviations = [
         replace(
-            _deviation(fit, robot, places[index], scaled[index], L),
+            _deviation(fit, robot, places[index], scaled[index], L, tests=tests),
             robot=members[robot].name,
             p_value=p_value,
             evidence=evidence,
@@ -231,7 +238,8 @@ def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> 
         tuple(one.name for one in members),
         {name: float(size) for name, size in zip(fit.names, fit.sizes, strict=True)},
         tuple(sorted(deviations, key=lambda one: -one.evidence)),
-        len(members) * len(places),
+        tuple(map(tuple, changes)),
+        tests,
     )
 
 
@@ -455,41 +463,58 @@ def _test(
     return evidence, min([1.0, *(len(p_values) * one for one in p_values)])
 
 
+def _without(fit: _Fit, robot: int, any_change: FloatArray) -> _Fit:
+    """Return the fit without the deviation of a place, whose score then shows its size."""
+    free = list(fit.free)
+    free[robot] = tuple(one for one in free[robot] if one is not any_change)
+    if len(free[robot]) == len(fit.free[robot]):
+        return fit
+    return _Fit(fit.rows, fit.names, fit.factors, fit.sizes, fit.gain, tuple(free))
+
+
+def _link_change(
+    fit: _Fit,
+    robot: int,
+    place: _Place,
+    factors: tuple[FloatArray, FloatArray | None],
+    L: FloatArray,
+    *,
+    tests: int,
+) -> LinkChange | None:
+    """Return the relative change of a link; None for a joint, or if a change would not show."""
+    any_change, denser = factors
+    if denser is None:
+        return None
+    without = _without(fit, robot, any_change)
+    columns = list(place.columns)
+    known = (L @ fit.common[1] @ L.T)[np.ix_(columns, columns)]
+    own = np.linalg.inv(L)[:, columns] @ _root(known)
+    return link_change(*without.scores[robot], denser, own, tests)
+
+
 def _deviation(
     fit: _Fit,
     robot: int,
     place: _Place,
     factors: tuple[FloatArray, FloatArray | None],
     L: FloatArray,
+    *,
+    tests: int,
 ) -> Deviation:
     """Return the size of a deviation that the fit contains."""
-    any_change, denser = factors
-    free = list(fit.free)
-    free[robot] = tuple(one for one in free[robot] if one is not any_change)
-    without = _Fit(fit.rows, fit.names, fit.factors, fit.sizes, fit.gain, tuple(free))
-    score, information = without.scores[robot]
+    any_change, _ = factors
+    score, information = _without(fit, robot, any_change).scores[robot]
     H = np.eye(any_change.shape[1]) + any_change.T @ information @ any_change
     covariance = np.linalg.inv(H)
-    columns = list(place.columns)
-    own = (L @ any_change)[columns]
-    relative = relative_std = None
-    if denser is not None:
-        weight = float((denser.T @ information @ denser).item())
-        if weight > 1:  # otherwise a typical change would not show
-            relative = DENSER * float((denser.T @ score).item()) / weight
-            # The link's own parameters, to which the change is relative, are not known exactly.
-            inverse = np.linalg.inv(L)[:, columns]
-            effect = inverse.T @ information @ denser[:, 0] * DENSER / weight
-            known = (L @ fit.common[1] @ L.T)[np.ix_(columns, columns)]
-            doubt = abs(relative) * float(np.sqrt(effect @ known @ effect))
-            relative_std = float(np.hypot(DENSER / np.sqrt(weight), doubt))
+    own = (L @ any_change)[list(place.columns)]
+    change = _link_change(fit, robot, place, factors, L, tests=tests)
     return Deviation(
         "",
         place.name,
         0.0,
         0.0,
-        relative,
-        relative_std,
+        None if change is None else change.relative,
+        None if change is None else change.std,
         own @ covariance @ (any_change.T @ score),
         np.sqrt(np.einsum("ij,jk,ik->i", own, covariance, own)),
         place.columns,

@@ -326,12 +326,15 @@ class Dataset:
         instants.
     observations : tuple of Observations
         The folded rows for each window length.
+    spans : tuple of tuple of (int, int)
+        First and last stamp of each part without a gap, ns; empty if they are unknown.
     """
 
     source: str
     segments: Iterable[Segment]
     samples: Samples
     observations: tuple[Observations, ...]
+    spans: tuple[tuple[int, int], ...] = ()
 
 
 class DistributedSegments(RemoteSegments):
@@ -397,7 +400,7 @@ def fold_dataset(
             jobs=processing.jobs,
             first=processing.first,
         )
-        samples = concatenated(probes.parts)
+        samples, spans = concatenated(probes.parts), tuple(probes.spans)
         observations = tuple(one for one in observations if one.rows.samples > 0)
         if not observations:
             raise DataError(
@@ -407,12 +410,13 @@ def fold_dataset(
             )
     else:
         segments = tuple(segments)
+        spans = tuple((int(one.stamp[0]), int(one.stamp[-1])) for one in segments)
         samples = build_samples(segments, model, smoothing, source)
         inflation = row_inflation(smoothing, segments[0].rate)
         rows = (sampled_rows(parameters, block) for block in samples.blocks(SAMPLES_AT_ONCE))
         unwindowed = Observations.unwindowed(RowLayout.of(parameters), rows, inflation)
         observations = (unwindowed.covering(frozenset().union(*map(fingerprint, segments))),)
-    return Dataset(source, segments, samples, observations)
+    return Dataset(source, segments, samples, observations, spans)
 
 
 def observe(
@@ -460,15 +464,20 @@ def _check_rates(
 
 @dataclass
 class Probes:
-    """Unfiltered samples at few instants of segments that pass by."""
+    """Unfiltered samples at few instants of segments that pass by, and the spans of these."""
 
     model: RobotModel
     parts: list[Samples] = field(default_factory=list)
+    spans: list[tuple[int, int]] = field(default_factory=list)
     _period: float = PROBE_PERIOD
 
     def watch(self, segments: Iterable[Segment]) -> Iterator[Segment]:
         """Yield the segments and collect samples."""
         for segment in segments:
+            start, stop = int(segment.stamp[0]), int(segment.stamp[-1])
+            if self.spans and (start - self.spans[-1][1]) * segment.rate < 1.5e9:
+                start = self.spans.pop()[0]
+            self.spans.append((start, stop))
             self.parts.append(probed(segment, self.model, self._period))
             if sum(map(len, self.parts)) > MOST_PROBES:
                 self._period *= 2

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray, concatenated
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray, concatenated
+from symbid_ros.choices import SLIDING_TERMS
 from symbid_ros.dynamics.inertial_rows import generalised_force
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses, rotate, rotate_inverse
 from symbid_ros.dynamics.regressor import (
@@ -13,6 +14,7 @@ from symbid_ros.dynamics.regressor import (
     first_moment_regressor,
     known_force,
     momentum_regressor,
+    slipping,
 )
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import BagError
@@ -75,7 +77,10 @@ class MotionPrediction:
 
 @dataclass(frozen=True)
 class Metrics:
-    """The thesis's five attributes (section IV-B); a vector's error is its norm per sample."""
+    """The thesis's five attributes (section IV-B); a vector's error is its norm per sample.
+
+    Generalised forces and torques are compared where :func:`obeying_joints` is true.
+    """
 
     gen_force_rmse: float
     torque_rmse: float
@@ -146,7 +151,9 @@ def predict(parameters: ParameterSet, values: FloatArray, motion: TrueMotion) ->
     """Return the predictions of the parameters (p,) along the motion."""
     parts = []
     for block in motion.blocks():
-        gen_force, com, momentum = _LinearPrediction.of(parameters, block).predict(values[:, None])
+        gen_force, com, momentum = _LinearPrediction.of(parameters, values, block).predict(
+            values[:, None]
+        )
         about_com = momentum[..., 0].reshape(-1, 2, 3)
         in_world = rotate(block.base_rotation[:, None], about_com).reshape(-1, 6)
         parts.append(MotionPrediction(gen_force[..., 0], com[..., 0], in_world))
@@ -163,8 +170,33 @@ def evaluate(
 
     Forces are compared with measured ones, everything else with the true model.
     """
-    blocks = (_LinearPrediction.of(parameters, block) for block in motion.blocks())
+    blocks = (_LinearPrediction.of(parameters, truth, block) for block in motion.blocks())
     return _metrics(parameters, candidates, truth, blocks)
+
+
+def obeying_joints(parameters: ParameterSet, truth: FloatArray, velocity: FloatArray) -> BoolArray:
+    """Return which joints (N, J) obey the true robot's equation of motion at rates (N, J).
+
+    The friction of a joint at rest takes any value up to its Coulomb friction, so no model predicts
+    its effort.
+    """
+    has_friction = np.zeros(velocity.shape[1], dtype=bool)
+    for term, columns in parameters.term_columns.items():
+        if term in SLIDING_TERMS:
+            has_friction[parameters.joints] |= truth[columns] != 0
+    for term, values in parameters.known_terms.items():
+        if term in SLIDING_TERMS:
+            has_friction |= values != 0
+    return np.asarray(slipping(parameters, velocity) | ~has_friction)
+
+
+def sticking_share(parameters: ParameterSet, truth: FloatArray, motion: TrueMotion) -> float:
+    """Return the share of the joints' instants that metrics of forces leave out."""
+    moving = list(parameters.joints)
+    if not moving:
+        return 0.0
+    obeys = obeying_joints(parameters, truth, motion.samples.velocity)[:, moving]
+    return float(1 - obeys.mean())
 
 
 class MotionEvaluator:
@@ -182,7 +214,7 @@ class MotionEvaluator:
 
     def __init__(self, parameters: ParameterSet, truth: FloatArray, motion: TrueMotion) -> None:
         self._parameters, self._truth = parameters, truth
-        self._blocks = [_LinearPrediction.of(parameters, block) for block in motion.blocks()]
+        self._blocks = [_LinearPrediction.of(parameters, truth, block) for block in motion.blocks()]
 
     def metrics(self, candidates: Mapping[str, FloatArray]) -> dict[str, Metrics]:
         """Return the five metrics, as :func:`evaluate` does."""
@@ -197,10 +229,10 @@ def _metrics(
 ) -> dict[str, Metrics]:
     first_joint = 6 * parameters.model.floating
     stacked = np.stack([truth, *candidates.values()], axis=1)
-    squares, samples = np.zeros((4, len(candidates))), 0
+    squares, samples = np.zeros((4, len(candidates))), np.zeros((4, 1))
     for block in blocks:
         gen_force, com, momentum = block.predict(stacked)
-        force = gen_force[..., 1:] - block.y[..., None]
+        force = (gen_force[..., 1:] - block.y[..., None]) * block.obeys[..., None]
         errors = (
             force,
             force[:, first_joint:],
@@ -208,10 +240,14 @@ def _metrics(
             momentum[..., 1:] - momentum[..., :1],
         )
         squares += [np.sum(error**2, axis=(0, 1)) for error in errors]
-        samples += len(block.y)
+        forces, torques = (
+            int(block.obeys[:, first:].any(axis=1).sum()) for first in (0, first_joint)
+        )
+        samples[:, 0] += [forces, torques, len(block.y), len(block.y)]
+    roots = np.sqrt(squares / np.maximum(samples, 1))
     metrics = {}
     for column, (label, values) in enumerate(candidates.items()):
-        force, torque, com, momentum = np.sqrt(squares[:, column] / samples).tolist()
+        force, torque, com, momentum = roots[:, column].tolist()
         error = parameter_error(parameters, values, truth)
         metrics[label] = Metrics(force, torque, com, momentum, error)
     return metrics
@@ -232,15 +268,20 @@ class _LinearPrediction:
         Force of known friction and armature.
     mass : (p,) float64
         1 for each mass, 0 for other parameters.
+    obeys : (N, n) bool
+        False at joints that may stick.
     """
 
     matrix: FloatArray
     y: FloatArray
     known: FloatArray
     mass: FloatArray
+    obeys: BoolArray
 
     @classmethod
-    def of(cls, parameters: ParameterSet, motion: TrueMotion) -> "_LinearPrediction":
+    def of(
+        cls, parameters: ParameterSet, truth: FloatArray, motion: TrueMotion
+    ) -> "_LinearPrediction":
         rows = equation_of_motion(parameters, motion.samples)
         poses = link_poses(parameters.model, motion.samples.position)
         momentum = momentum_regressor(parameters, motion.samples, motion.base_velocity, poses)
@@ -250,7 +291,10 @@ class _LinearPrediction:
         mass = np.zeros(len(parameters))
         mass[: parameters.inertial : 10] = 1.0
         known = known_force(parameters, motion.samples)
-        return cls(matrix, rows.y + known, known, mass)
+        obeys = np.ones(rows.y.shape, dtype=bool)
+        first_joint = 6 * parameters.model.floating
+        obeys[:, first_joint:] = obeying_joints(parameters, truth, motion.samples.velocity)
+        return cls(matrix, rows.y + known, known, mass, obeys)
 
     def predict(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return generalised force (N, n, c), centre of mass (N, 3, c), momentum (N, 6, c).

@@ -1,6 +1,7 @@
 """Results of several robots of one type, made comparable: equal columns, prior and windows."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import reduce
 from pathlib import Path
 
@@ -121,10 +122,36 @@ def describe_deviation(found: Deviation) -> str:
 
 
 def fleet_verdict(found: FleetEstimate) -> str:
-    """Return which robots differ, in one sentence."""
+    """Return which robots differ, or what would have been named, in one sentence."""
     if not found.deviations:
-        return f"No robot differs from the others ({found.tests} links and joints tested)"
+        none = f"No robot differs from the others ({found.tests} links and joints tested)"
+        return f"{none}; {_detectable(found)}"
     return "; ".join(map(describe_deviation, found.deviations))
+
+
+def detectable_changes(found: FleetEstimate) -> dict[str, float | None]:
+    """Return the smallest change of each link that would be named in any robot; None if none is."""
+    changes: dict[str, float | None] = {}
+    for link, robots in zip(
+        found.parameters.link_names, zip(*found.link_changes, strict=True), strict=True
+    ):
+        seen = [one.detectable for one in robots if one is not None and one.is_shown]
+        changes[link] = max(seen) if len(seen) == len(robots) else None
+    return changes
+
+
+def _detectable(found: FleetEstimate) -> str:
+    changes = detectable_changes(found)
+    seen = {link: value for link, value in changes.items() if value is not None}
+    if not seen:
+        return "these data would not show a change of any link"
+    least, largest = min(seen, key=seen.__getitem__), max(seen, key=seen.__getitem__)
+    text = f"a link would be named if it alone were {100 * seen[least]:.2g} % ({least})"
+    if largest != least:
+        text += f" to {100 * seen[largest]:.2g} % ({largest})"
+    text += " heavier or lighter"
+    hidden = [link for link in changes if link not in seen]
+    return f"{text}; a change of {' or '.join(hidden)} would not show" if hidden else text
 
 
 def fleet_document(found: FleetEstimate) -> dict[str, object]:
@@ -155,6 +182,15 @@ def fleet_document(found: FleetEstimate) -> dict[str, object]:
             }
             for one in found.deviations
         ],
+        "link_changes": {
+            link: {
+                robot: None if one is None else asdict(one)
+                for robot, one in zip(found.robots, robots, strict=True)
+            }
+            for link, robots in zip(
+                found.parameters.link_names, zip(*found.link_changes, strict=True), strict=True
+            )
+        },
         "spread": found.spread,
         "parameters": {
             name: {

@@ -279,10 +279,16 @@ class ForceRows:
             return None
         return float(np.mean(np.abs(scores) <= HALF_WIDTH)), float(np.mean(scores**2))
 
-    def change(self, places: IntArray) -> "ErrorChange":
-        """Compare the errors before and after the identification at some coordinates."""
+    def change(self, places: IntArray, comparisons: int = 1) -> "ErrorChange":
+        """Compare the errors before and after the identification at some coordinates.
+
+        Of several ``comparisons``, each has a wider interval (Bonferroni).
+        """
         return compare_errors(
-            self.error_before[:, places], self.error_after[:, places], self.y[:, places]
+            self.error_before[:, places],
+            self.error_after[:, places],
+            self.y[:, places],
+            comparisons,
         )
 
     def total_mass(self, predictor: ForcePredictor) -> TotalMass:
@@ -340,7 +346,7 @@ class ErrorChange:
     log_ratio : float
         Logarithm of the second error over the first.
     half_width : float
-        Half the width of its 95 % interval.
+        Half the width of its 95 % interval, wider if it is one of several.
     """
 
     log_ratio: float
@@ -357,7 +363,9 @@ class ErrorChange:
         return self.log_ratio > max(self.half_width, float(np.log(RELEVANT)))
 
 
-def compare_errors(first: FloatArray, second: FloatArray, force: FloatArray) -> ErrorChange:
+def compare_errors(
+    first: FloatArray, second: FloatArray, force: FloatArray, comparisons: int = 1
+) -> ErrorChange:
     """Compare the RMS of two errors (N, m) of a force (N, m) by the jackknife over blocks of rows.
 
     Errors of consecutive rows are correlated, those of blocks hardly (Efron 1982, chapter 3). The
@@ -372,7 +380,8 @@ def compare_errors(first: FloatArray, second: FloatArray, force: FloatArray) -> 
         return ratio
 
     std = _jackknife_std(log_ratio(sums.sum(axis=0) - sums))
-    half_width = float(stdtrit(len(blocks) - 1, CONFIDENCE)) * std
+    confidence = 1 - (1 - CONFIDENCE) / comparisons
+    half_width = float(stdtrit(len(blocks) - 1, confidence)) * std
     return ErrorChange(float(log_ratio(sums.sum(axis=0))), half_width)
 
 

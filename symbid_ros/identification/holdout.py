@@ -186,6 +186,8 @@ def _hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOu
     summary = f"{found.change} on the last {found.seconds:.0f} s"
     if found.advice == "worse":
         summary += ", worse than the original model"
+    elif found.advice == "mixed":
+        summary += f"; {' and '.join(found.worse)} got worse"
     elif found.advice == "unfit":
         summary += ", more than was measured"
     if repeats >= REPEATED:

@@ -9,7 +9,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import LinkPoses, link_poses
 from symbid_ros.dynamics.regressor import com_position, equation_of_motion
 from symbid_ros.errors import EstimateError
-from symbid_ros.identification.evaluation import TrueMotion
+from symbid_ros.identification.evaluation import TrueMotion, obeying_joints
 from symbid_ros.model.parameters import ParameterSet
 
 LEVEL = 0.9
@@ -46,7 +46,8 @@ class IntervalSummary:
     com_std_mm, torque_std : float
         RMS over the samples of the norm of the standard deviations, mm and Nm.
     com_coverage, torque_coverage : float
-        Share of samples and axes (or joints) whose true value lies in the 90 % interval.
+        Share of samples and axes (or joints that do not stick) whose true value lies in the 90 %
+        interval.
     """
 
     com_std_mm: float
@@ -105,18 +106,20 @@ def summarise_intervals(
     """
     std = prediction_std(parameters, values, factor, motion)
     first_joint = 6 * parameters.model.floating
-    com_error, torque_error = [], []
+    com_error, torque_error, obeys = [], [], []
     for block in motion.blocks():
         poses = link_poses(parameters.model, block.samples.position)
         found, true = (com_position(parameters, phi, poses) for phi in (values, truth))
         com_error.append(found - true)
         rows = equation_of_motion(parameters, block.samples)
         torque_error.append((rows.K @ values - rows.y)[:, first_joint:])
+        obeys.append(obeying_joints(parameters, truth, block.samples.velocity))
+    used = np.concatenate(obeys)
     return IntervalSummary(
         com_std_mm=1e3 * _rms(std.com),
         torque_std=_rms(std.torque),
         com_coverage=_coverage(np.concatenate(com_error), std.com),
-        torque_coverage=_coverage(np.concatenate(torque_error), std.torque),
+        torque_coverage=_coverage(np.concatenate(torque_error)[used], std.torque[used]),
     )
 
 
@@ -137,4 +140,4 @@ def _rms(deviation: FloatArray) -> float:
 
 
 def _coverage(error: FloatArray, std: FloatArray) -> float:
-    return float(np.mean(np.abs(error) <= HALF_WIDTH * std))
+    return float(np.mean(np.abs(error) <= HALF_WIDTH * std)) if error.size else 0.0

@@ -1,5 +1,6 @@
 """Reading and checking of a robot, a log and all that options name, before any method is chosen."""
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -51,6 +52,8 @@ from symbid_ros.model.payload import Payload, with_payloads
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import COMPLIANCE
+
+logger = logging.getLogger(__name__)
 
 # Reads and checks a log on other machines, for the parameters and their prior.
 LogReader = Callable[[IdentifyOptions, ParameterSet, Prior], tuple[Dataset, LogChecks]]
@@ -146,7 +149,12 @@ class LoadedProblem:
         return replace(found, estimate=estimate)
 
     def with_provenance(self, found: Identification, command: str = "") -> Identification:
-        """Return an identification of this problem that names its inputs and options."""
+        """Return an identification of this problem that names its inputs and options.
+
+        Alarms about its log are logged if the method gives no verdict that could hold them.
+        """
+        for alarm in self.checks.alarms if found.estimate.verdict is None else ():
+            logger.warning("%s: %s", self.dataset.source, alarm)
         files = () if self.digests is None else self.digests.wait()
         provenance = Provenance.now(files, self.options, command)
         return replace(found, estimate=replace(found.estimate, provenance=provenance))

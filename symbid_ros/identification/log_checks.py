@@ -116,7 +116,9 @@ def check_dataset(
     estimated: Collection[SensorErrorKind],
     watch: ModelWatch | None = None,
 ) -> LogChecks:
-    """Check a log by itself and against the model, and log a warning for each finding.
+    """Check a log by itself and against the model, and log a warning for each harmless finding.
+
+    Those that bias an estimate become alarms (:attr:`LogChecks.alarms`).
 
     Parameters
     ----------
@@ -154,6 +156,7 @@ def check_dataset(
             checks.joint_topic,
             checks.imu_topics,
             checks.wrench_topics,
+            conversions=checks.conversions,
         ).findings
     mountings = {}
     tares = {}
@@ -180,6 +183,8 @@ def check_dataset(
     _refuse_unusable(source, found)
     findings = merged(of_streams, found)
     for finding in findings:
+        if finding.kind in BIASING:
+            continue
         left_out = finding.kind in (Kind.FROZEN, Kind.SATURATED)
         also = "; those messages are left out" if left_out else ""
         logger.warning("%s: %s%s", source, finding.message, also)

@@ -18,7 +18,13 @@ from symbid_ros.dynamics.regressor import (
 )
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import BagError, DataError
-from symbid_ros.identification.evaluation import SAMPLES_AT_ONCE, TrueMotion, predict, true_motion
+from symbid_ros.identification.evaluation import (
+    SAMPLES_AT_ONCE,
+    TrueMotion,
+    obeying_joints,
+    predict,
+    true_motion,
+)
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import align
@@ -82,7 +88,8 @@ class RealisticPrediction:
 class RealisticMetrics:
     """RMSE of realistic predictions in Nm, N, Nm, mm, and Ns with Nms.
 
-    The error of a vector is its norm at each sample. Torques are compared with the true ones;
+    The error of a vector is its norm at each sample. Torques are compared with the true ones where
+    :func:`~symbid_ros.identification.evaluation.obeying_joints` is true;
     contact forces and moments with the measured wrenches, whose noise adds to the error; centre of
     mass and momentum with those of the true model along the true motion.
     """
@@ -212,24 +219,28 @@ def evaluate_realistic(
     motion: RealisticMotion,
 ) -> dict[str, RealisticMetrics]:
     """Return the metrics of several parameter vectors (p,); ``truth`` (p,) is the true one."""
-    squares = np.zeros((len(candidates), len(fields(RealisticMetrics))))
+    squares, counts = np.zeros((len(candidates), len(fields(RealisticMetrics)))), 0
     for block in _blocks(motion):
         true = predict(parameters, truth, block.truth)
         effort, wrenches = block.truth.samples.effort, block.measured.wrenches
+        obeys = obeying_joints(parameters, truth, block.truth.samples.velocity)
+        counts += int(obeys.any(axis=1).sum())
         for row, predicted in zip(
             squares, _predictions(parameters, [*candidates.values()], block), strict=True
         ):
             contact = predicted.wrenches - wrenches
             errors = (
-                predicted.torque - effort,
-                predicted.torque_from_wrenches - effort,
+                (predicted.torque - effort) * obeys,
+                (predicted.torque_from_wrenches - effort) * obeys,
                 contact[..., 3:],
                 contact[..., :3],
                 1e3 * (predicted.com - true.com),
                 predicted.momentum - true.momentum,
             )
             row += [np.sum(error**2) for error in errors]
-    roots = np.sqrt(squares / len(motion.measured))
+    samples = np.full(squares.shape[1], len(motion.measured))
+    samples[:2] = max(counts, 1)
+    roots = np.sqrt(squares / samples)
     return {
         label: RealisticMetrics(*row.tolist()) for label, row in zip(candidates, roots, strict=True)
     }

@@ -1,6 +1,6 @@
 """Computes what a report shows of a log: predicted forces, spectra, coverage, motion."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -221,6 +221,7 @@ def coverage(problem: LoadedProblem) -> Coverage:
         stamp,
         position,
         problem.parameters.model.joint_names,
+        spans=dataset.spans,
         checks=checks,
         is_checked=not problem.options.unchecked,
     )
@@ -232,15 +233,22 @@ def _coverage(
     position: FloatArray,
     joints: tuple[str, ...],
     *,
+    spans: Sequence[tuple[int, int]] = (),
     checks: LogChecks,
     is_checked: bool,
 ) -> Coverage:
-    """Return what a log consists of, from joint positions (N, J) at stamps (N,), ns."""
+    """Return what a log consists of, from joint positions (N, J) at stamps (N,), ns.
+
+    Without ``spans`` of the parts between gaps, gaps shorter than the stamps' distance do not show.
+    """
     begin = min([int(stamp[0]), *(one.start for one in checks.spans)])
     time = np.asarray((stamp - begin) * 1e-9, dtype=np.float64)
     step = np.diff(time)
     breaks = np.flatnonzero(step > LEAST_GAP)
     starts, stops = np.r_[0, breaks + 1], np.r_[breaks, len(time) - 1]
+    used = np.stack([time[starts], time[stops]], axis=1)
+    if spans:
+        used = np.asarray((np.array(spans, dtype=np.int64) - begin) * 1e-9, dtype=np.float64)
     speed = np.abs(np.diff(position, axis=0)) / step[:, None]
     speed = speed[step <= LEAST_GAP]
     if not len(speed):
@@ -248,7 +256,7 @@ def _coverage(
     return Coverage(
         log=source,
         begin=begin,
-        used=np.stack([time[starts], time[stops]], axis=1),
+        used=used,
         faults=_faults(checks, begin),
         findings=tuple(one.as_dict() for one in checks.findings),
         is_checked=is_checked,

@@ -1,6 +1,6 @@
 """Validation of an identified robot on a log that was not used, without a known truth."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -12,6 +12,15 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import EstimateError
 from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.error_changes import (
+    ALL_JOINTS,
+    BASE_FORCE,
+    BASE_MOMENT,
+    SLOW_STRETCHES,
+    WRIST_SENSORS,
+    describe_change,
+    percent,
+)
 from symbid_ros.identification.force_errors import (
     ErrorChange,
     ForceError,
@@ -30,9 +39,13 @@ Advice = Literal["better", "equal", "worse", "mixed", "unfit"]
 
 FEWEST_SLOW = 10  # rows below which slow stretches are not reported
 NO_MODEL = 100.0  # percent; the error of a prediction of zero
+# A joint whose error grows by less, as a share of its measured effort, does not change the advice.
+# Joints with hardly any effort are compared with this share of all joints' effort instead.
+NOTICEABLE, SMALL_EFFORT = 0.01, 0.05
+# Share of errors in their 90 % interval below which standard deviations are too small, and rows
+# that a single coordinate needs to be named.
+LEAST_COVERAGE, COVERAGE_ROWS = 0.7, 20
 WINDOW = 0.161  # s; for comparisons of results without windows
-ALL_JOINTS, SLOW_STRETCHES = "all joints", "slow stretches"
-BASE_MOMENT, BASE_FORCE, WRIST_SENSORS = "base moment", "base force", "wrist sensors"
 
 
 @dataclass(frozen=True)
@@ -123,6 +136,10 @@ class Validation:
     efforts : PredictedEfforts
     deciding : tuple of ForceError
         Errors by which the advice was chosen; ``main`` is one of them.
+    worse : tuple of str
+        Joints, or moment and force on the base, that the identified model predicts clearly worse.
+    not_judged : tuple of str
+        Joints without a row: they hardly move, or their efforts are unknown.
     """
 
     result: str
@@ -145,6 +162,8 @@ class Validation:
     file_percents: dict[str, float]
     efforts: PredictedEfforts = field(repr=False, compare=False)
     deciding: tuple[ForceError, ...] = ()
+    worse: tuple[str, ...] = ()
+    not_judged: tuple[str, ...] = ()
 
     @property
     def is_better(self) -> bool:
@@ -174,6 +193,22 @@ class Validation:
         return ", ".join(describe_change(one) for one in self.deciding or (self.main,))
 
     @property
+    def uncovered(self) -> tuple[ForceError, ...]:
+        """Coordinates of whose errors too few lie in their 90 % interval."""
+        return tuple(
+            one
+            for one in self.coordinates
+            if one.coverage is not None
+            and one.coverage < LEAST_COVERAGE
+            and one.rows >= COVERAGE_ROWS
+        )
+
+    @property
+    def is_covered(self) -> bool:
+        """Whether the intervals hold about as many errors as they claim, if there are any."""
+        return not self.uncovered and (self.coverage is None or self.coverage >= LEAST_COVERAGE)
+
+    @property
     def groups(self) -> tuple[ForceError, ...]:
         """Errors over several coordinates."""
         every = self.torque, self.slow, self.base_moment, self.base_force
@@ -192,6 +227,8 @@ class Validation:
         document = {
             "verdict": self.verdict,
             "advice": self.advice,
+            "worse": list(self.worse),
+            "not_judged": list(self.not_judged),
             "percent_before": self.percent_before,
             "percent_after": self.percent_after,
             "file_percents": self.file_percents,
@@ -367,6 +404,11 @@ def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validati
     if len(joints) and np.count_nonzero(is_slow := rows.is_slow) >= FEWEST_SLOW:
         slow = rows.selected(is_slow).error(joints, SLOW_STRETCHES)
         slow_seconds = rows.duration * float(np.mean(is_slow))
+    coordinates = tuple(
+        rows.error(np.array([place]), model.coordinates[place]) for place in rows.used.tolist()
+    )
+    worse = _worse_joints(rows, {one.name: one for one in coordinates})
+    advice = _advice(changes, worse)
     calibration = rows.calibration()
     has_weight = model.floating and model.contacts is None
     found = Validation(
@@ -376,9 +418,7 @@ def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validati
         log=source,
         seconds=rows.duration,
         seconds_used=min(float(len(rows.seconds & predictor.seconds)), rows.duration),
-        coordinates=tuple(
-            rows.error(np.array([place]), model.coordinates[place]) for place in rows.used.tolist()
-        ),
+        coordinates=coordinates,
         torque=errors.get(drives),
         base_moment=errors.get(BASE_MOMENT),
         base_force=errors.get(BASE_FORCE),
@@ -387,21 +427,47 @@ def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validati
         mass=rows.total_mass(predictor) if has_weight else None,
         coverage=None if calibration is None else calibration[0],
         normalized_square=None if calibration is None else calibration[1],
-        advice=_advice(changes),
+        advice=advice,
         verdict="",
         file_percents=rows.file_errors(rows.main),
         efforts=PredictedEfforts.of(rows),
+        worse=tuple(name for name, change in changes.items() if change.is_increase) + tuple(worse),
+        not_judged=tuple(
+            model.joint_names[joint]
+            for joint in model.moving_joints
+            if len(joints) and rows.first_joint + joint not in joints
+        ),
     )
     if found.percent_after is not None and found.percent_after >= NO_MODEL:
         found = replace(found, advice="unfit")
-    found = replace(found, deciding=tuple(errors[name] for name in _deciding(found, changes)))
+    deciding = [errors[name] for name in _deciding(found, changes)]
+    if found.advice == "mixed":
+        deciding += worse.values()
+    found = replace(found, deciding=tuple(deciding))
     return replace(found, verdict=_verdict(found, changes))
 
 
-def _advice(changes: Mapping[str, ErrorChange]) -> Advice:
+def _worse_joints(rows: ForceRows, errors: Mapping[str, ForceError]) -> dict[str, ForceError]:
+    """Return the errors of joints that got worse, beyond chance and by a noticeable amount."""
+    if not len(rows.joints):
+        return {}
+    least = SMALL_EFFORT * rows.error(rows.joints, ALL_JOINTS).measured
+    worse = {}
+    for place in rows.joints.tolist():
+        error = errors[rows.model.coordinates[place]]
+        if error.rmse_after - error.rmse_before <= NOTICEABLE * max(error.measured, least):
+            continue
+        if rows.change(np.array([place]), len(rows.joints)).is_increase:
+            worse[error.name] = error
+    return worse
+
+
+def _advice(changes: Mapping[str, ErrorChange], worse: Collection[str]) -> Advice:
     is_better = any(change.is_decrease for change in changes.values())
     if any(change.is_increase for change in changes.values()):
         return "mixed" if is_better else "worse"
+    if worse:
+        return "mixed"
     return "better" if is_better else "equal"
 
 
@@ -423,7 +489,6 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
             f"on {found.seconds:.0f} s, of which the identification used "
             f"{found.seconds_used:.0f} s; repeat this with another log"
         )
-    worse = " and ".join(name for name, change in changes.items() if change.is_increase)
     better = [name for name, change in changes.items() if change.is_decrease]
     start = {
         "better": "use it"
@@ -433,11 +498,30 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
         if differ_relevantly(found.percent_before, found.percent_after)
         else "hardly differs from the original",
         "worse": "do not use it, it is worse than the original",
-        "mixed": f"do not use it yet, {worse} got worse",
+        "mixed": f"do not use it yet, {' and '.join(found.worse)} got worse",
         "unfit": "do not use it, it errs by more than was measured (give the robot file, units and "
         "signs of the identification)",
     }[found.advice]
-    return f"{start}: {found.change} {used}"
+    if not found.is_covered and found.is_better:
+        start = f"{start}, but not its standard deviations"
+    return f"{start}: {found.change} {used}{_reservations(found)}"
+
+
+def _reservations(found: Validation) -> str:
+    """Return which intervals and joints the advice is not about; empty if there are none."""
+    remarks = []
+    if not found.is_covered and found.coverage is not None:
+        shares = {"all": found.coverage}
+        shares |= {one.name: one.coverage or 0.0 for one in found.uncovered}
+        listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items())
+        remarks.append(f"too few errors lie in their 90 % interval ({listed})")
+    if found.not_judged:
+        are = "is" if len(found.not_judged) == 1 else "are"
+        remarks.append(
+            f"{' and '.join(found.not_judged)} {are} not judged, because in this log "
+            f"{'it hardly moves' if are == 'is' else 'they hardly move'} or the effort is unknown"
+        )
+    return "".join(f"; {remark}" for remark in remarks)
 
 
 def _ranking_verdict(pair: Sequence[Validation], data: Sequence[ForceRows]) -> str:
@@ -471,39 +555,3 @@ def _after(found: Validation) -> str:
     if main.percent_after is None:
         return f"{main.rmse_after:.3g} {main.unit}"
     return percent(main.percent_after)
-
-
-def describe_change(error: ForceError) -> str:
-    """Describe an error before and after, in percent if anything was measured."""
-    if error.percent_before is None or error.percent_after is None:
-        return f"{error.rmse_before:.3g} → {error.rmse_after:.3g} {error.unit}"
-    forces = {
-        BASE_MOMENT: "moment on the base",
-        BASE_FORCE: "force on the base",
-        WRIST_SENSORS: "wrist forces",
-    }
-    what = forces.get(error.name, "torque")
-    change = percent_change(error.percent_before, error.percent_after)
-    return f"{change} of the measured {what}"
-
-
-def describe_files(percents: Mapping[str, float], after: float | None) -> str:
-    """Return the errors of model files that predict worse than the identified model, if any."""
-    worst = max(percents.values(), default=0.0)
-    if after is None or worst <= after or not differ_relevantly(after, worst):
-        return ""
-    errors = ", ".join(f"{name} alone errs by {percent(value)}" for name, value in percents.items())
-    return f"{errors}: a model file cannot hold all joint terms"
-
-
-def percent_change(before: float, after: float) -> str:
-    """Format two percentages, with a third digit where two do not show the difference."""
-    pair = f"{percent(before)} → {percent(after)}"
-    return pair if percent(before) != percent(after) else f"{before:.3g} % → {after:.3g} %"
-
-
-def percent(value: float | None) -> str:
-    """Format a percentage with two or three digits, or a dash for None."""
-    if value is None:
-        return "–"
-    return f"{value:.0f} %" if value >= 100 else f"{value:.{3 if value >= 10 else 2}g} %"

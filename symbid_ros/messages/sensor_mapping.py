@@ -103,7 +103,7 @@ class SensorMapping:
         names = tuple(self.joints.get(name, name) for name in stream.names)
         scale = np.array([self.effort_scale.get(name, 1.0) for name in names])
         effort = stream.effort if (scale == 1.0).all() else stream.effort * scale
-        return replace(stream, names=names, effort=effort)
+        return replace(stream, names=names, effort=effort, effort_scale=self.effort_scale)
 
     def converted_imu(self, stream: ImuStream) -> ImuStream:
         """Return readings in the axes of the model's frame."""
@@ -124,7 +124,9 @@ class SensorMapping:
         frame = self.frame(stream.frame_id)
         if frame not in self.flipped:
             return replace(stream, frame_id=frame)
-        return replace(stream, frame_id=frame, force=-stream.force, torque=-stream.torque)
+        return replace(
+            stream, frame_id=frame, force=-stream.force, torque=-stream.torque, is_flipped=True
+        )
 
 
 # Of a log with the model's names, units and signs.

@@ -242,7 +242,9 @@ def build_joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStrea
     tally.add(Defect.REORDERED_JOINTS, stamp, reordered)
     kept = _in_order(np.flatnonzero(~foreign), stamp, tally)
     ordered = {name: drop_impossible(values)[kept] for name, values in fields.items()}
-    return JointStream(topic=topic, names=names, stamp=stamp[kept], **ordered)
+    return JointStream(
+        topic, names, stamp[kept], ordered["position"], ordered["velocity"], ordered["effort"]
+    )
 
 
 def build_imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:

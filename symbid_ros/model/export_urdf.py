@@ -1,7 +1,7 @@
 """Write a robot as URDF: the user's own file with new parameters, or a minimal tree."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -68,9 +68,9 @@ def unwritten(model: RobotModel) -> tuple[str, ...]:
     lists = []
     for field in UNWRITTEN:
         values = [(joint.name, getattr(joint, field)) for joint in model.joints]
-        if some := [f"{name} {value:.6g}" for name, value in values if value > NEGLIGIBLE]:
+        if some := [f"{name} {value:.6g}" for name, value in values if abs(value) > NEGLIGIBLE]:
             lists.append(f"{field}, not part of a URDF: {', '.join(some)}")
-    return tuple(filter(None, (negative_terms(model), *lists)))
+    return tuple(filter(None, (negative_terms(model, without=UNWRITTEN), *lists)))
 
 
 def _updated(model: RobotModel, source: Path, before: RobotModel) -> str:
@@ -294,13 +294,16 @@ def with_nonnegative_terms(model: RobotModel) -> RobotModel:
     return replace(model, joints=tuple(joints))
 
 
-def negative_terms(model: RobotModel) -> str:
-    """Return which joint terms are negative and written as zero; empty if there is none."""
+def negative_terms(model: RobotModel, *, without: Collection[str] = ()) -> str:
+    """Return which joint terms are negative and written as zero; empty if there is none.
+
+    Fields of ``without`` are not written at all.
+    """
     found = [
         f"{joint.name} {name} {value:.6g}"
         for joint in model.joints
         for name, field in TERMS.items()
-        if (value := getattr(joint, field)) < -NEGLIGIBLE
+        if field not in without and (value := getattr(joint, field)) < -NEGLIGIBLE
     ]
     return f"negative, written as zero: {', '.join(found)}" if found else ""
 

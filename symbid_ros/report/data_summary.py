@@ -59,6 +59,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
         SummaryEntry(
             "Effective parameters",
             f"{significant(verdict.effective)} of {len(estimate.names) - len(estimate.fixed)}",
+            "sum over all combinations of the share that the data add; "
             f"{significant(verdict.gain)} bits gained in total",
         ),
         SummaryEntry(
@@ -158,6 +159,7 @@ class LinkRow:
     name: str
     determined: str
     mass: str
+    is_mass_measured: bool
     com: str  # standard deviation of the centre of mass, mm
     gain: str
     share: float
@@ -184,7 +186,8 @@ def link_rows(estimate: Estimate, com_std: Mapping[str, float] = NOTHING) -> tup
         text = ABSENT if com is None else significant(1e3 * com, 2)
         if com is not None and com > LARGEST_COM_STD:
             text = f"> {1e3 * LARGEST_COM_STD:g}"
-        rows.append(LinkRow(link, count, mass, text, f"{gain:.1f}", share))
+        measured = estimate.determined is None or bool(estimate.determined[own[0]])
+        rows.append(LinkRow(link, count, mass, measured, text, f"{gain:.1f}", share))
     return tuple(rows)
 
 
@@ -233,10 +236,13 @@ def _group(estimate: Estimate, link: str, indices: list[int]) -> ParameterGroup:
         mass = indices[0]
         std = 0.0 if estimate.std is None else float(estimate.std[mass])
         before = significant(float(estimate.prior[mass]), 4)
-        parts.append(f"{with_std(float(estimate.value[mass]), std)} kg, original {before} kg")
+        text = f"{with_std(float(estimate.value[mass]), std)} kg, original {before} kg"
+        if estimate.determined is not None and not estimate.determined[mass]:
+            text += ", not measured"
+        parts.append(text)
     if estimate.determined is not None:
         count = int(np.count_nonzero(estimate.determined[indices]))
-        parts.append(f"{count} of {len(indices)} determined")
+        parts.append(f"{count} of {len(indices)} parameters determined")
     return ParameterGroup(
         name=link or OTHER,
         possible=estimate.consistent.get(link, True),

@@ -102,11 +102,15 @@ def draw(
 
 @dataclass(frozen=True)
 class Panel:
-    """A small figure: heading, ``<svg>`` element and a note on the deviations it shows."""
+    """A small figure: heading, ``<svg>`` element and a note on the deviations it shows.
+
+    Of several, some may be left out in print.
+    """
 
     title: str
     svg: str
     note: str
+    is_printed: bool = True
 
 
 def signal_panels(

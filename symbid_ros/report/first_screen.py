@@ -8,10 +8,10 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.identification.error_changes import describe_files, percent, percent_change
 from symbid_ros.identification.force_errors import differ_relevantly
 from symbid_ros.identification.holdout import REPEATED
 from symbid_ros.identification.report_data import ReportData
-from symbid_ros.identification.validation import describe_files, percent, percent_change
 from symbid_ros.report.content import PRIOR, MethodResult, ReportContent
 from symbid_ros.report.formatting import ABSENT, significant, with_std
 from symbid_ros.report.robot_summary import RobotSummary
@@ -191,11 +191,10 @@ def _describe_findings(log: ReportData) -> str:
 
 def _mass(summary: RobotSummary) -> KeyFigure:
     title = "Total mass" if summary.is_floating else "Mass of the moving links"
-    return KeyFigure(
-        title,
-        f"{with_std(summary.mass, summary.mass_std)} kg",
-        f"original {significant(summary.mass_before, 4)} kg",
-    )
+    original = f"original {significant(summary.mass_before, 4)} kg"
+    if summary.is_mass_measured is False:
+        original = f"not measured by this log, mostly the model file’s; {original}"
+    return KeyFigure(title, f"{with_std(summary.mass, summary.mass_std)} kg", original)
 
 
 def _com(summary: RobotSummary) -> KeyFigure:

@@ -3,9 +3,17 @@
 import numpy as np
 
 from symbid_ros.estimation.fleet import FleetEstimate
-from symbid_ros.identification.fleet import describe_deviation, fleet_verdict
-from symbid_ros.report.formatting import significant
+from symbid_ros.estimation.fleet_changes import LinkChange
+from symbid_ros.identification.fleet import describe_deviation, detectable_changes, fleet_verdict
+from symbid_ros.report.formatting import ABSENT, significant
 from symbid_ros.report.templates import page_template, shared_css
+
+COLUMNS = "kg", "± kg", "one robot ± kg", "detectable"
+LEGEND = (
+    "Each robot's column is the change of the whole link against the other robots, with its "
+    f"standard deviation. Detectable: the smallest change that would be named with 90 % "
+    f"probability. {ABSENT}: the data do not show a change of this link."
+)
 
 
 def render_fleet(found: FleetEstimate) -> str:
@@ -43,6 +51,8 @@ def render_fleet(found: FleetEstimate) -> str:
         verdict=fleet_verdict(found),
         robots=found.robots,
         links=fleet_rows(found),
+        columns=COLUMNS,
+        legend=LEGEND,
         spread=[(name, f"{100 * size:.2g}") for name, size in found.spread.items()],
         deviations=deviations,
         parameters=parameters,
@@ -51,23 +61,25 @@ def render_fleet(found: FleetEstimate) -> str:
 
 
 def fleet_rows(found: FleetEstimate) -> list[list[str]]:
-    """Return a row for each link: mass, deviations, and how much heavier it is in each robot."""
+    """Return a row for each link: common mass, detectable change, and each robot's change."""
     single = np.median(found.single_stds, axis=0)
     rows = []
-    for index, link in enumerate(found.parameters.link_names):
+    for index, (link, detectable) in enumerate(detectable_changes(found).items()):
         i = 10 * index
-        mass = float(found.common[i])
-        changes = [
-            f"{100 * (value / mass - 1):+.1f} %".replace("-", "−") if mass else ""
-            for value in found.values[:, i]
-        ]
         rows.append(
             [
                 link,
-                f"{mass:.3f}",
+                f"{float(found.common[i]):.3f}",
                 f"{found.common_std[i]:.3f}",
                 f"{single[i]:.3f}",
-                *changes,
+                ABSENT if detectable is None else f"{100 * detectable:.2g} %",
+                *(_change(robot[index]) for robot in found.link_changes),
             ]
         )
     return rows
+
+
+def _change(one: LinkChange | None) -> str:
+    if one is None or not one.is_shown:
+        return ABSENT
+    return f"{100 * one.relative:+.1f} ± {100 * one.std:.1f} %".replace("-", "−")

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,7 +27,7 @@ class TimeBar:
 
     left: float
     width: float
-    kind: str  # used, held-out, gap, frozen or silent
+    kind: str  # used, break, held-out, gap, frozen or silent
     text: str
 
 
@@ -60,12 +61,15 @@ def timeline(coverage: Coverage, forces: ForceSeries | None) -> Timeline:
             f"{what} from {start:.2f} to {stop:.2f} s",
         )
 
-    rows = [
-        TimeRow(
-            "used",
-            tuple(bar(start, stop, "used", "used") for start, stop in coverage.used.tolist()),
-        )
+    used = coverage.used.tolist()
+    parts = [bar(start, stop, "used", "used") for start, stop in used]
+    # Gaps that are too short to be seen between two bars are drawn over them.
+    parts += [
+        bar(stop, start, "break", "not used")
+        for (_, stop), (start, _) in pairwise(used)
+        if axis.place(start) - axis.place(stop) < LEAST_WIDTH
     ]
+    rows = [TimeRow("used", tuple(parts))]
     if forces is not None:
         kind = "held-out" if forces.is_held_out else "shown"
         rows.append(TimeRow(kind.replace("-", " "), (bar(forces.start, forces.stop, kind, kind),)))

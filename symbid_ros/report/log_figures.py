@@ -14,13 +14,17 @@ from symbid_ros.report.formatting import significant
 from symbid_ros.report.plotting import Style, downsample, figure_style, inline_svg
 
 MEASURED, ORIGINAL, IDENTIFIED = "measured", "original model", "identified model"
-# The measured force is a wide line below the thin ones of the models.
+# The measured force is a wide line below the thin ones of the models. Among errors, that of the
+# original model is a wide line below the thin one of the identified model, which may be equal.
 STYLES = {
     MEASURED: Style("#3a3a3a", "-", 2.2, "|"),
     ORIGINAL: Style("#d55e00", "-", 0.9, "^"),
     IDENTIFIED: Style("#0072b2", "-", 1.1, "o"),
 }
-JOINTS_SHOWN = 6  # without script; with script every joint can be chosen
+ERROR_WIDTHS = {ORIGINAL: 2.0, IDENTIFIED: 0.9}
+# Without script, and of the figures of speed and frequency in print; with script every joint can be
+# chosen.
+JOINTS_SHOWN, JOINTS_PRINTED = 6, 3
 POINTS = 500
 # Lines break where rows are missing for this time, s, and this many times their usual distance.
 PAUSE, USUAL = 0.25, 3.0
@@ -37,20 +41,24 @@ def drawn_forces(log: ReportData | None) -> ForceSeries | None:
     return log.forces
 
 
-def shown_joints(forces: ForceSeries) -> IntArray:
-    """Return the most loaded joints, in the model's order; the base without joints."""
+def shown_joints(forces: ForceSeries, most: int = JOINTS_SHOWN) -> IntArray:
+    """Return the joints with the largest errors, in the model's order; the base without joints.
+
+    Errors of the identified model are compared as shares of the measured force, as in the overview.
+    """
     joints = [
         place
         for place, name in enumerate(forces.coordinates)
         if not name.startswith("base/") and bool(forces.has_rows[place])
     ]
     places = np.array(joints or np.flatnonzero(forces.has_rows).tolist(), dtype=np.int64)
-    load = np.nan_to_num(forces.rms_measured[places]) + forces.rmse_before[places]
-    return np.sort(places[np.argsort(-load, kind="stable")[:JOINTS_SHOWN]])
+    measured, error = forces.rms_measured[places], np.nan_to_num(forces.rmse_after[places])
+    share = np.divide(error, measured, out=np.zeros(len(places)), where=measured > 0)
+    return np.sort(places[np.argsort(-share, kind="stable")[:most]])
 
 
 def force_panels(forces: ForceSeries) -> tuple[Panel, ...]:
-    """Draw force and, on an axis of its own, error of the most loaded joints."""
+    """Draw force and, on an axis of its own, error of the joints with the largest errors."""
 
     def draw(figure: Figure, place: int) -> None:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -91,7 +99,7 @@ def base_panels(forces: ForceSeries) -> tuple[Panel, ...]:
 
 
 def speed_panels(forces: ForceSeries) -> tuple[Panel, ...]:
-    """Draw the errors of the most loaded joints against their speed."""
+    """Draw the errors of the same joints against their speed."""
 
     def draw(figure: Figure, place: int) -> None:
         axes = figure.add_subplot()
@@ -190,7 +198,7 @@ def _panels(
     size: tuple[float, float],
     draw: Callable[[Figure, int], None],
 ) -> tuple[Panel, ...]:
-    panels = []
+    panels, printed = [], shown_joints(forces, JOINTS_PRINTED).tolist()
     for place in map(int, places):
         title, unit = forces.coordinates[place], forces.units[place]
         before, after = forces.rmse_before[place], forces.rmse_after[place]
@@ -199,7 +207,7 @@ def _panels(
             figure = Figure(figsize=size, layout="constrained")
             draw(figure, place)
             svg = inline_svg(figure, f"{name}-{place}", f"{title}. {note}")
-        panels.append(Panel(title, svg, note))
+        panels.append(Panel(title, svg, note, place in printed))
     return tuple(panels)
 
 
@@ -208,15 +216,18 @@ def _draw_errors(axes: Axes, forces: ForceSeries, place: int) -> None:
     errors = forces.measured[:, [place]] - np.stack(
         [forces.before[:, place], forces.after[:, place]], axis=1
     )
-    _line(axes, forces.time, errors[:, 0], ORIGINAL)
-    _line(axes, forces.time, errors[:, 1], IDENTIFIED)
+    for index, (label, width) in enumerate(ERROR_WIDTHS.items()):
+        _line(axes, forces.time, errors[:, index], label, width)
     axes.set_ylabel(f"error [{forces.units[place]}]")
     axes.set_xlabel("time [s]")
     _limit(axes, shown_error(forces, place), errors[:, 0], errors[:, 1])
 
 
 def force_range(forces: ForceSeries, place: int) -> tuple[float, float]:
-    """Return the range of forces shown: measured and identified, and the original if near."""
+    """Return the range of forces shown: measured and identified, and the original if near.
+
+    That of a wrench on the base always contains the original model.
+    """
     near = np.stack([forces.measured[:, place], forces.after[:, place]])
     near = near[np.isfinite(near)]
     far = forces.before[:, place]
@@ -226,6 +237,8 @@ def force_range(forces: ForceSeries, place: int) -> tuple[float, float]:
     least, most = np.quantile(near, [0.002, 0.998]).tolist()
     span = most - least
     low, high = least, most
+    if _is_of_base(forces, place):
+        span = np.inf
     if least - span <= float(np.median(far)) <= most + span:
         low = max(min(least, float(far.min())), least - span)
         high = min(max(most, float(far.max())), most + span)
@@ -235,7 +248,8 @@ def force_range(forces: ForceSeries, place: int) -> tuple[float, float]:
 def shown_error(forces: ForceSeries, place: int) -> float:
     """Return the size of errors up to which an axis reaches.
 
-    Errors of the original model beyond the range of the measured force would hide all others.
+    Errors of a joint beyond the range of its measured force would hide all others. On the base,
+    where a constant error of the original model is usual, nothing is cut off.
     """
     measured = forces.measured[:, place]
     measured = measured[np.isfinite(measured)]
@@ -243,7 +257,13 @@ def shown_error(forces: ForceSeries, place: int) -> float:
         error_limit(forces.measured[:, place] - one[:, place])
         for one in (forces.before, forces.after)
     )
+    if _is_of_base(forces, place):
+        return max(after, before)
     return max(after, min(before, float(np.ptp(measured)) if len(measured) else 0.0))
+
+
+def _is_of_base(forces: ForceSeries, place: int) -> bool:
+    return forces.coordinates[place].startswith("base/")
 
 
 def has_hidden_errors(forces: ForceSeries) -> bool:
@@ -268,7 +288,9 @@ def broken(values: FloatArray, places: IntArray) -> FloatArray:
     return np.insert(values, places, np.nan)
 
 
-def _line(axes: Axes, time: FloatArray, values: FloatArray, label: str) -> None:
+def _line(
+    axes: Axes, time: FloatArray, values: FloatArray, label: str, width: float | None = None
+) -> None:
     style = STYLES[label]
     for part in np.split(np.arange(len(time)), pauses(time)):
         used = part[np.isfinite(values[part])]
@@ -277,7 +299,7 @@ def _line(axes: Axes, time: FloatArray, values: FloatArray, label: str) -> None:
             axes.plot(
                 *downsample(time[used], values[used], points),
                 color=style.colour,
-                linewidth=style.width,
+                linewidth=width or style.width,
             )
     axes.margins(x=0)
     axes.yaxis.set_major_locator(MaxNLocator(4))

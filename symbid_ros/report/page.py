@@ -9,7 +9,7 @@ from typing import Any
 
 from symbid_ros.atomic_write import write_text
 from symbid_ros.choices import TERMS
-from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.estimate import Estimate, HoldOut
 from symbid_ros.identification.report_data import ForceSeries
 from symbid_ros.report.content import (
     METRICS,
@@ -37,6 +37,7 @@ from symbid_ros.report.log_figures import (
     drawn_forces,
     force_panels,
     has_hidden_errors,
+    shown_joints,
     spectrum_panels,
     speed_panels,
 )
@@ -108,7 +109,7 @@ def render(content: ReportContent) -> str:
         "correlation": None if content.spread is None else correlation_image(content.spread),
         "changes": largest_changes(estimate, prior_std),
         "compared": None if any(errors.values()) else compared_results(content.results),
-        "forces": None if forces is None else _forces(forces),
+        "forces": None if forces is None else _forces(forces, estimate.holdout),
         "log": None if log is None else log.coverage,
         "timeline": None if log is None else timeline(log.coverage, log.forces),
         "ranges": () if log is None else joint_ranges(log.coverage, content.limits),
@@ -168,15 +169,18 @@ class ForcePanels:
 
     caption: str
     base: str
+    choice: str  # which joints the static figures show; empty if all
     force_panels: tuple[Panel, ...]
     speed_panels: tuple[Panel, ...]
     spectrum_panels: tuple[Panel, ...]
     base_panels: tuple[Panel, ...]
 
 
-def _forces(forces: ForceSeries) -> ForcePanels:
+def _forces(forces: ForceSeries, holdout: HoldOut | None) -> ForcePanels:
     seconds = significant(forces.stop - forces.start)
     if forces.is_held_out:
+        # As in the summary of the trial; rows start and end half a window within.
+        seconds = seconds if holdout is None else f"{holdout.seconds:.0f}"
         what = (
             f"The last {seconds} s of the log, predicted by a trial identification that left them "
             "out."
@@ -192,11 +196,23 @@ def _forces(forces: ForceSeries) -> ForcePanels:
     return ForcePanels(
         what,
         "the base",
+        _describe_choice(forces),
         force_panels(forces),
         speed_panels(forces),
         spectrum_panels(forces),
         base_panels(forces),
     )
+
+
+def _describe_choice(forces: ForceSeries) -> str:
+    shown = shown_joints(forces)
+    count = sum(
+        not name.startswith("base/") and bool(has_rows)
+        for name, has_rows in zip(forces.coordinates, forces.has_rows.tolist(), strict=True)
+    )
+    if count <= len(shown):
+        return ""
+    return f"Shown are the {len(shown)} of {count} joints with the largest errors in percent."
 
 
 def _missing(result: MethodResult) -> str:

@@ -16,8 +16,9 @@
     return Array.from(new Float32Array(bytes(text)), (x) => (Number.isFinite(x) ? x : null));
   }
 
+  // Empty without a value: the legend shows values only under the cursor.
   function digits(value) {
-    if (value === null || value === undefined) return "–";
+    if (value === null || value === undefined) return "";
     return String(Number(value.toPrecision(4))).replace("-", "−");
   }
 
@@ -166,8 +167,8 @@
           axes: [axis("time [s]", 28), axis(`error [${unit}]`, 52)],
           series: [
             { label: "time [s]", value: (_, value) => digits(value) },
-            line("original model", "before", 1.2),
-            line("identified model", "after", 1.5),
+            line("original model", "before", 2.7),
+            line("identified model", "after", 1.2),
           ],
         },
         [time, minus(before), minus(after)],

@@ -6,6 +6,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.model.parameters import ParameterSet
 
 
@@ -19,6 +20,9 @@ class RobotSummary:
         Whether the base floats. The base of a fixed robot is left out, as no sensor feels it.
     mass, mass_std, mass_before : float
         kg; the deviation is NaN if the method gives none.
+    is_mass_measured : bool or None
+        Whether the mass has less than half of the variance that the model file's has; None if
+        that is unknown.
     com, com_std, com_before : (3,) float64
         Centre of mass in the base frame, m.
     posture : (J,) float64
@@ -33,6 +37,7 @@ class RobotSummary:
     mass: float
     mass_std: float
     mass_before: float
+    is_mass_measured: bool | None
     com: FloatArray
     com_std: FloatArray
     com_before: FloatArray
@@ -47,6 +52,8 @@ def summarise_robot(
     prior: FloatArray,
     deviations: FloatArray | None,
     posture: FloatArray | None,
+    *,
+    prior_std: FloatArray | None = None,
 ) -> RobotSummary:
     """Return the mass and the centre of mass of a robot.
 
@@ -60,6 +67,8 @@ def summarise_robot(
         L of the covariance L Lᵀ; None if there is none.
     posture : (J,) float64 or None
         Joint positions; None for zeros.
+    prior_std : (p,) float64, optional
+        Standard deviations of the original parameters; those of masses are independent.
     """
     model = parameters.model
     joints = np.zeros(len(model.joints)) if posture is None else posture
@@ -94,11 +103,16 @@ def summarise_robot(
         of_links = (factor[:, 1:4] - own[:, :, None] * factor[:, :1]) / phi[:, :1, None]
         rms = np.sqrt(np.mean(np.sum(of_links**2, axis=2), axis=1))
         link_com_std = dict(zip(parameters.link_names, rms.tolist(), strict=True))
+    is_mass_measured = None
+    if prior_std is not None and np.isfinite(mass_std):
+        spread = prior_std[: parameters.inertial : 10][counted]
+        is_mass_measured = bool(mass_std**2 < DETERMINED**2 * np.sum(spread**2))
     return RobotSummary(
         is_floating=model.floating,
         mass=mass,
         mass_std=mass_std,
         mass_before=mass_before,
+        is_mass_measured=is_mass_measured,
         com=com,
         com_std=com_std,
         com_before=com_before,

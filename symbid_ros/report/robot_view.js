@@ -11,7 +11,7 @@
   const FIELD_OF_VIEW = 30; // degrees
   // Visible part of an inertia box outside the links, as share of the robot's size. Boxes larger
   // than the robot, which impossible inertias have, do not shrink it.
-  const BOX_MARGIN = 0.25;
+  const [WHOLE_BOX, BOX_MARGIN] = [2.0, 0.25];
   const TURN = Math.PI / 24; // of an arrow key
 
   // Corners of a unit cube's twelve edges.
@@ -210,8 +210,8 @@
       }
       const size = box.getSize(new THREE.Vector3());
       this.size = size.length();
-      this.framed = this.framedPoints(
-        box.clone().expandByScalar(BOX_MARGIN * Math.max(size.x, size.y, size.z)));
+      const longest = Math.max(size.x, size.y, size.z);
+      this.framed = this.framedPoints(box.clone().expandByScalar(BOX_MARGIN * longest), longest);
       this.centre = box.setFromPoints(this.framed).getCenter(new THREE.Vector3());
       for (const link of this.links) {
         link.comBefore.scale.setScalar(0.008 * this.size);
@@ -378,14 +378,21 @@
       this.draw();
     }
 
-    // Corners of the links' shapes and of the inertia boxes, the latter within limits.
-    framedPoints(limits) {
+    // Corners of the links' shapes and of the inertia boxes, those much larger than the robot within
+    // limits.
+    framedPoints(limits, robot) {
       const points = [limits.getCenter(new THREE.Vector3())];
       const add = ({ min, max }, object) => {
+        const corners = [];
         for (let corner = 0; corner < 8; corner++) {
           const point = new THREE.Vector3(
             corner & 1 ? min.x : max.x, corner & 2 ? min.y : max.y, corner & 4 ? min.z : max.z);
-          points.push(limits.clampPoint(point.applyMatrix4(object.matrixWorld), point));
+          corners.push(point.applyMatrix4(object.matrixWorld));
+        }
+        const size = new THREE.Box3().setFromPoints(corners).getSize(new THREE.Vector3());
+        const isWhole = Math.max(size.x, size.y, size.z) <= WHOLE_BOX * robot;
+        for (const point of corners) {
+          points.push(isWhole ? point : limits.clampPoint(point, point));
         }
       };
       this.links.forEach((link, index) => {

@@ -86,6 +86,7 @@ class ReportedResult:
             self.estimate.prior,
             self.deviations,
             coverage.mean_posture if coverage is not None and known else None,
+            prior_std=self.prior_std,
         )
 
 

@@ -19,7 +19,8 @@ _MARGIN = 30
 _LIGHT = np.array([-0.35, 0.5, 0.8])  # right, up, towards the camera
 _DARKEST, _SHADES = 0.55, 6
 _BUDGET, _LEAST_FACES = 5000, 80  # triangles of the whole robot, and of a link
-_BOX_MARGIN = 0.25  # visible part of a box outside the links, as share of the robot's size
+# Boxes up to this many times the robot's size are shown whole, of others the part this far from it.
+_WHOLE_BOX, _BOX_MARGIN = 2.0, 0.25
 _RASTER = 4  # drawing units of a pixel when hidden triangles are removed
 
 
@@ -96,14 +97,21 @@ def still_picture(scene: RobotScene) -> str:
 def _framed(links: Sequence[FloatArray], boxes: Sequence[FloatArray]) -> FloatArray:
     """Return the points (N, 3) that the picture shows: links, and boxes as far as they are near.
 
-    Boxes larger than the robot, which impossible inertias have, do not shrink it.
+    Boxes much larger than the robot, which impossible inertias have, do not shrink it.
     """
     if not links:
         return np.concatenate([*boxes, np.zeros((1, 3))])
     points = np.concatenate(links)
     low, high = points.min(axis=0), points.max(axis=0)
-    margin = _BOX_MARGIN * float((high - low).max())
-    return np.concatenate([points, *(np.clip(box, low - margin, high + margin) for box in boxes)])
+    size = float((high - low).max())
+    margin = _BOX_MARGIN * size
+    shown = [
+        box
+        if np.ptp(box, axis=0).max() <= _WHOLE_BOX * size
+        else np.clip(box, low - margin, high + margin)
+        for box in boxes
+    ]
+    return np.concatenate([points, *shown])
 
 
 def _bodies(

@@ -118,6 +118,8 @@ def identify_bags(node: Node, values: dict[str, Any], stop: Event) -> None:
     )
     verdict = estimate.verdict
     alarms = () if verdict is None else verdict.alarms
+    for alarm in alarms:
+        node.get_logger().warning(f"alarm: {alarm}")
     details = {} if verdict is None else {"window": f"{verdict.window:g}"}
     StatusPublisher(node, lambda: [estimate_status(estimate, alarms, details)], estimate.model)
     stop.wait()

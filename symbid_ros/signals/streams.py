@@ -1,7 +1,7 @@
 """Sensor streams as recorded, before alignment: one array per field and topic."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, TypeVar
 
@@ -29,6 +29,8 @@ class JointStream:
         header.stamp in nanoseconds.
     position, velocity, effort : (N, J) float64
         rad or m, rad/s or m/s, Nm or N; NaN where the message has no value.
+    effort_scale : mapping of str to float
+        Factors by which the user's options have converted efforts of joints.
     """
 
     topic: str
@@ -37,6 +39,7 @@ class JointStream:
     position: FloatArray
     velocity: FloatArray
     effort: FloatArray
+    effort_scale: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,8 @@ class WrenchStream:
         header.stamp in nanoseconds.
     force, torque : (N, 3) float64
         N and Nm; the torque is about the frame's origin.
+    is_flipped : bool
+        Whether the user's options have reversed its sign.
     """
 
     topic: str
@@ -85,6 +90,7 @@ class WrenchStream:
     stamp: IntArray
     force: FloatArray
     torque: FloatArray
+    is_flipped: bool = False
 
 
 @dataclass(frozen=True)

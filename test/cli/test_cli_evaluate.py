@@ -157,7 +157,8 @@ def test_realistic_predictions_come_beside_the_ideal_ones(
     require_valid("evaluation", figures)
     realistic = figures.pop("realistic")
     assert figures == json.loads(plain.read_text())
-    assert set(figures) == {"schema_version", *(field.name for field in fields(Metrics))}
+    names = {field.name for field in fields(Metrics)}
+    assert set(figures) == {"schema_version", "sticking_pct", *names}
     assert set(realistic) == {field.name for field in fields(RealisticMetrics)}
     assert all(f"{value:.4g}" in ended.stdout for value in realistic.values())
 

@@ -88,6 +88,8 @@ def test_a_result_that_is_not_better_ends_with_status_1(
     assert [one["result"] for one in comparison["ranking"]] == [str(found), str(worse)]
     assert comparison["verdict"].startswith(f"{found} predicts best")
     shown = symbid_here("compare", worse, found, "--bag", ideal).stdout
+    assert "both in the unit of measured" in shown
+    assert "–" not in shown
     assert comparison["verdict"] in shown
 
 

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.diagnosis.findings import Kind, Severity
 from symbid_ros.diagnosis.forces import (
+    SignConversions,
     _effort_findings,
     _is_known,
     _median_gain,
@@ -318,6 +319,22 @@ def test_the_line_for_a_robot_file_names_every_joint_with_its_number():
     (every,) = _effort_findings("/joints", known(1e-3, 1.1e-3, 0.9e-3), 1.0, ["x"])
     assert 'effort_scale: ["0:=0.001", "1:=0.0011", "2:=0.0009", "x:=0.001"]' in every.message
     assert "give `drive_gain` all to" in every.message
+
+
+def test_advice_about_signs_builds_on_the_conversions_that_are_given():
+    """A user who reversed an effort by mistake is not told to reverse it once more."""
+    given = SignConversions({"0": -1.0, "1": 0.11}, frozenset({"left"}))
+    (found,) = _effort_findings("/joints", known(-1, -1), 1.0, conversions=given)
+    assert 'effort_scale: ["0:=1", "1:=-0.11"] in robot.yaml instead of 0:=-1, 1:=0.11' in (
+        found.message
+    )
+    (wrong,) = _effort_findings("/joints", known(1.0, 0.1), 1.0, conversions=given)
+    assert '["1:=0.011"] in robot.yaml instead of 1:=0.11' in wrong.message
+    (plain,) = _effort_findings("/joints", known(-1, 1), 1.0)
+    assert plain.message.endswith('effort_scale: ["0:=-1"] in robot.yaml')
+    turn = RotationFit(-1, IDENTITY, 0.0, 1.0, 0, 90)
+    (wrench,) = _wrench_findings("/left", "left", turn, 1.0, conversions=given)
+    assert "remove left from `flip_wrench`" in wrench.message
 
 
 def test_similar_errors_are_one_group():

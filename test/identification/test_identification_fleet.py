@@ -1,10 +1,12 @@
 """Robots of one type: the one that differs is named, and the common parameters gain from all."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 from arm_log import arm_streams
+from browser import PHONE
 from documented_robots import ur5_urdf
 from fleet import HEAVIER, simulate
 from json_schemas import require_valid
@@ -18,7 +20,7 @@ from symbid_ros.estimation.mass_scale import FORCE_SCALE_STD
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior import model_prior
 from symbid_ros.estimation.prior_std import body_covariance
-from symbid_ros.identification.fleet import fleet_of_results
+from symbid_ros.identification.fleet import fleet_of_results, fleet_verdict
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.fleet_page import render_fleet
@@ -49,6 +51,13 @@ def test_the_page_names_the_link_and_holds_no_script(draw) -> None:
     page = render_fleet(draw.estimate)
     assert f"{draw.robot}: {draw.link} is" in page.replace("\N{NO-BREAK SPACE}", " ")
     assert "<script" not in page
+
+
+def test_the_page_fits_a_phone(draw, browser, tmp_path) -> None:
+    page = tmp_path / "fleet.html"
+    page.write_text(render_fleet(draw.estimate))
+    with browser.page(page, PHONE) as shown:
+        assert shown.overflow == []
 
 
 def gaussian_fleet(rng, shift: float) -> tuple[list[FleetMember], ParameterSet]:
@@ -93,6 +102,22 @@ def test_a_shifted_link_is_found_with_its_size() -> None:
     assert abs(found.relative - 0.1) < 4 * found.relative_std
 
 
+def test_changes_of_links_have_their_deviation_and_the_detectable_ones_are_named() -> None:
+    members, parameters = gaussian_fleet(np.random.default_rng(2), 0.0)
+    equal = estimate_fleet(members, parameters)
+    scores = [one.relative / one.std for robot in equal.link_changes for one in robot]
+    assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.5)
+    smallest = equal.link_changes[0][2].detectable
+    for factor, is_named in ((1.3, True), (0.4, False)):
+        members, _ = gaussian_fleet(np.random.default_rng(2), factor * smallest)
+        found = estimate_fleet(members, parameters)
+        assert bool(found.deviations) == is_named
+        change = found.link_changes[0][2]
+        assert change.relative == pytest.approx(factor * smallest, abs=4 * change.std)
+    verdict = fleet_verdict(found)
+    assert re.search(r"a link would be named if it alone were .* % \(.*\) to .* heavier", verdict)
+
+
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     folder, arm = tmp_path_factory.mktemp("fleet"), load_model(ur5_urdf(), "fixed")
@@ -120,6 +145,9 @@ def test_the_command_compares_saved_results(results, tmp_path) -> None:
     assert "Spread between robots" in (tmp_path / "f.html").read_text()
     shown = CliRunner().invoke(app, ["fleet", *folders])
     assert document["verdict"] in shown.stdout.replace("\n", " ")
+    assert set(document["link_changes"]["forearm_link"]) == {"robot_0", "robot_1", "robot_2"}
+    assert "detectable" in shown.stdout
+    assert "±" in shown.stdout
 
 
 def test_other_models_and_pairs_of_robots_are_refused(results) -> None:

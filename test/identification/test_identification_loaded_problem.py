@@ -58,9 +58,14 @@ def test_a_missing_contact_is_refused(log) -> None:
         load(log, left_alone)
 
 
-def test_a_doubtful_gain_gives_a_warning(log, tmp_path, caplog) -> None:
+def test_a_doubtful_gain_is_told_once(log, tmp_path, caplog) -> None:
+    """As an alarm, or as a warning if the method has no verdict that could hold it."""
     bag = edit_bag(log, tmp_path / "halved", {"/joint_states": halved_effort})
-    load(bag)
+    problem = load(bag)
+    found = problem.with_provenance(problem.solve())
+    assert caplog.messages == []
+    assert "/joint_states: effort of R_hfe reads 0." in found.estimate.verdict.alarms[0]
+    problem.with_provenance(problem.solve("wls"))
     (message,) = caplog.messages
     assert "/joint_states: effort of R_hfe reads 0." in message
 

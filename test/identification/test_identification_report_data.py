@@ -1,5 +1,6 @@
 """What a report shows of a log: motion, spectra, faults and forces, saved and read again."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,9 @@ from symbid_ros.identification.report_data import FILE_NAME, QUANTILES, load_rep
 from symbid_ros.identification.report_series import MOST_ROWS, PositionTrace, force_series
 from symbid_ros.identification.result_files import write_identification
 from symbid_ros.identification.validation import PredictedEfforts
+from symbid_ros.report.compose import compose
+from symbid_ros.report.page import render
+from symbid_ros.report.saved_results import load_result
 from symbid_ros.signals.segments import Segment
 
 RATE, SECONDS, STILL = 25.0, 200.0, 60.0
@@ -65,6 +69,11 @@ class TestSavedResult:
             forces.coordinates, forces.rmse_before, forces.rmse_after, strict=True
         ):
             assert holdout.coordinates[name] == pytest.approx((before, after))
+
+    def test_the_page_states_the_length_of_the_held_out_part_once(self, result, saved):
+        page = render(compose({"A": load_result(saved)}, chosen="A", metadata={}))
+        lengths = set(re.findall(r"[Tt]he last ([\d.]+)\s*s", page.replace("\xa0", " ")))
+        assert lengths == {f"{result.estimate.holdout.seconds:.0f}"}
 
     def test_motion_is_that_of_the_log(self, arm, streams, saved):
         log = load_report_data(saved).coverage
@@ -157,6 +166,21 @@ class TestForceSeries:
         assert forces.time[0] > STILL - 1
         np.testing.assert_allclose(np.diff(forces.time), 1 / RATE, rtol=1e-6)
         assert forces.rmse_after[0] == pytest.approx(0.4 / np.sqrt(2), rel=1e-3)
+
+
+def test_a_gap_shorter_than_a_glance_ends_a_used_part(arm, streams):
+    joints = streams.joints
+    time = joints.stamp * 1e-9 - joints.stamp[0] * 1e-9
+    kept = (time < 12.0) | (time > 12.15)
+    log = sy.Log.from_arrays(
+        arm,
+        time=joints.stamp[kept] * 1e-9,
+        position=joints.position[kept],
+        effort=joints.effort[kept],
+    )
+    found = sy.identify(arm, log, joint_terms=("none",), no_holdout=True, unchecked=True)
+    (_, stop), (start, _) = found._identification.report.coverage.used
+    assert (stop, start) == pytest.approx((12.0, 12.15), abs=0.02)
 
 
 def test_gaps_are_kept_with_their_times_and_the_longest_of_many():

@@ -9,12 +9,14 @@ import pinocchio
 import pytest
 from tree_simulation import TreeSimulation
 
-from symbid_ros.identification.evaluation import evaluate, predict
+from symbid_ros.dynamics.regressor import COULOMB_SPEED
+from symbid_ros.identification.evaluation import evaluate, predict, sticking_share
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.realistic_prediction import RealisticMotion, predict_realistic
 from symbid_ros.identification.result_files import load_estimated_model, write_identification
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import Frame
 from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.simulation.recording import record
@@ -56,6 +58,23 @@ def torque_of_exported(model, folder, motion):
     return np.array(torques)
 
 
+def test_the_truth_errs_by_nothing_because_sticking_joints_do_not_count(arm) -> None:
+    robot = load_model(arm / "robot.urdf", "fixed")
+    motion = read_true_motion([arm / "other"], robot)
+    parameters = ParameterSet(robot, ("viscous", "coulomb"))
+    truth = parameters.values
+    true = motion.samples.effort
+    sticks = np.abs(motion.samples.velocity) < COULOMB_SPEED
+    assert sticking_share(parameters, truth, motion) == pytest.approx(sticks.mean())
+    assert 0 < sticks.mean() < 0.5
+    metrics = evaluate(parameters, {"it": truth}, truth, motion)["it"]
+    every = rms(predict(parameters, truth, motion).gen_force - true)
+    assert metrics.torque_rmse < 0.2 * every
+    # Without friction, a joint at rest obeys the equation as well.
+    smooth = ParameterSet(load_model(arm / "smooth.urdf", "fixed"), ("viscous", "coulomb"))
+    assert sticking_share(smooth, smooth.values, motion) == 0
+
+
 def rms(error):
     return np.sqrt(np.mean(np.sum(error**2, axis=1)))
 
@@ -83,7 +102,9 @@ def test_friction_of_the_model_file_is_used_and_kept(arm, rows, tmp_path, caplog
     )
     parameters = estimated.parameters
     metrics = evaluate(parameters, {"it": estimated.values}, parameters.values, motion)["it"]
-    assert metrics.torque_rmse == pytest.approx(rms(force - true))
+    obeys = np.abs(motion.samples.velocity) >= COULOMB_SPEED
+    counted = ((force - true) * obeys)[obeys.any(axis=1)]
+    assert metrics.torque_rmse == pytest.approx(rms(counted))
     realistic = predict_realistic(
         parameters, estimated.values, RealisticMotion(motion.samples, motion)
     )

@@ -14,9 +14,11 @@ from random_logs import LogPlan, random_streams, small_robot
 import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.error_changes import percent, percent_change
 from symbid_ros.identification.force_errors import compare_errors
 from symbid_ros.identification.prediction import ForcePredictor
-from symbid_ros.identification.validation import compare, percent, percent_change
+from symbid_ros.identification.validation import compare, validate_segments
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
@@ -133,6 +135,49 @@ def test_a_model_that_became_worse_is_refused(arm) -> None:
     assert (found.advice, found.is_better) == ("worse", False)
     assert found.percent_after > 2 * found.percent_before
     assert found.verdict.startswith("do not use it")
+
+
+def test_a_joint_that_got_worse_is_named_with_its_error(arm) -> None:
+    """The efforts of one joint, small beside the others', err in the identified log only."""
+    joint = arm.robot.joint_names[-1]
+    streams = random_streams(arm.robot, LogPlan(250.0, 3000, noise=1.0), TRAINING)
+    scale = np.array([1.0, 1.0, 0.5])
+    joints = replace(streams.joints, effort=streams.joints.effort * scale)
+    log = sy.Log.from_streams(replace(streams, joints=joints))
+    found = sy.validate(identify(arm.wrong, log), arm.held_out)
+    assert found.torque.rmse_after < found.torque.rmse_before
+    (error,) = [one for one in found.coordinates if one.name == joint]
+    assert (found.advice, found.is_better, found.worse) == ("mixed", False, (joint,))
+    assert found.verdict.startswith(f"do not use it yet, {joint} got worse: ")
+    change = percent_change(error.percent_before, error.percent_after)
+    assert f"{change} of the measured effort of {joint}" in found.verdict
+
+
+def test_intervals_that_are_too_narrow_are_part_of_the_verdict(arm) -> None:
+    predictor = arm.identified().predictor
+    narrow = replace(predictor, factor=0.2 * predictor.factor, noise=0.04 * predictor.noise)
+    log = AlignedLog(arm.held_out, predictor.parameters.model)
+    found = validate_segments(narrow, log, "log")
+    assert found.is_better
+    assert not found.is_covered
+    assert found.verdict.startswith("use it, but not its standard deviations: ")
+    assert "; too few errors lie in their 90 % interval (all " in found.verdict
+    assert ", joint_0 " in found.verdict
+
+
+def test_a_joint_that_rests_is_not_judged_and_named(arm) -> None:
+    """Static friction balances any effort of a joint at rest."""
+    result = identify(arm.wrong, arm.training, joint_terms=("coulomb",))
+    streams = random_streams(arm.robot, LogPlan(250.0, 3000, start=START, noise=1.0), HELD_OUT)
+    still = np.array([1.0, 1.0, 0.0])
+    joints = replace(
+        streams.joints,
+        position=streams.joints.position * still,
+        velocity=streams.joints.velocity * still,
+    )
+    found = sy.validate(result, sy.Log.from_streams(replace(streams, joints=joints)))
+    assert found.not_judged == (arm.robot.joint_names[-1],)
+    assert f"; {found.not_judged[0]} is not judged, because in this log it hardly" in found.verdict
 
 
 def test_a_log_in_other_units_has_no_use_for_the_model(arm) -> None:

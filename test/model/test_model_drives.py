@@ -93,6 +93,11 @@ def test_joint_terms_of_random_trees_survive_both_formats(seed, floating, tmp_pa
 
 def test_terms_that_a_urdf_cannot_hold_are_listed(arm, urdf_arm):
     assert "armature, not part of a URDF: knee 0.01 " in urdf_text(arm)
+    knee = replace(arm.joints[-1], armature=-0.02, damping=-0.03)
+    negative = replace(arm, joints=(*arm.joints[:-1], knee))
+    zeros, armature = unwritten(negative)
+    assert zeros == f"negative, written as zero: {knee.name} damping -0.03"
+    assert f"{knee.name} -0.02" in armature
     assert "armature" not in urdf_text(urdf_arm)
 
 

@@ -1,5 +1,7 @@
 """The report in a browser: it fits, also phones, dark screens and paper, and its figures react."""
 
+import re
+
 import pytest
 from browser import PHONE
 from documented_robots import ur5_urdf
@@ -85,6 +87,16 @@ class TestFigures:
         assert page.tab.locator(output).inner_text().startswith("Strongest")
         image.hover(position={"x": 3, "y": 3})
         assert page.tab.locator(output).inner_text() == "base_link/m and base_link/m: 1.00"
+
+    def test_the_legend_shows_values_under_the_pointer_alone(self, page):
+        tab = page.tab
+        legend, area = tab.locator("#forces-plot .u-legend"), tab.locator("#forces-plot .u-over")
+        tab.mouse.move(0, 0)
+        assert "–" not in legend.inner_text()
+        assert "time [s]" not in legend.inner_text()
+        area.hover()
+        assert "time [s]" in legend.inner_text()
+        assert re.search(r"\d", legend.inner_text().replace("time [s]", ""))
 
     def test_another_joint_can_be_chosen(self, page):
         tab = page.tab

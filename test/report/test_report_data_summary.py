@@ -121,7 +121,8 @@ class TestDataSummary:
     def test_numbers_are_those_of_the_verdict(self) -> None:
         text = text_of(self.page)
         assert "4321 rows of each coordinate, averaged over windows of 161 ms" in text
-        assert "14.2 of 30 61.5 bits gained in total" in text
+        assert "14.2 of 30 sum over all combinations" in text
+        assert "61.5 bits gained in total" in text
         assert "3.00 % of the apparent information about the worst direction" in text
 
     def test_rows_at_single_instants_are_described(self) -> None:
@@ -148,7 +149,7 @@ class TestDataSummary:
         assert offset[1:] == ["−1.875 ± 0.013", "N", "yes"]
         assert self.page.row("knee/torque_gain")[1:] == ["0.0148 ± 0.0072", "relative", "no"]
         text = text_of(self.page)
-        assert "Base parameters 1 of 2 determined" in text
+        assert "Base parameters the 2 combinations on which forces depend" in text
         assert "Sensor errors 1 of 2 determined" in text
 
     def test_without_sensor_errors_their_table_is_absent(self) -> None:

@@ -16,8 +16,21 @@ from symbid_ros.report.first_screen import (
     robust_maximum,
     rounded_up,
 )
+from symbid_ros.report.robot_summary import RobotSummary
 
 ALARM = "the residuals are not white noise"
+
+
+def test_a_mass_that_is_not_measured_says_so():
+    shown = content_of_a_log(3)
+    summary = RobotSummary(
+        *(True, 20.0, 1.0, 21.0, False, np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)),
+        is_mean_posture=True,
+        link_com_std={},
+    )
+    methods = tuple(replace(one, summary=summary) for one in shown.methods)
+    mass = key_figures(replace(shown, methods=methods))[0]
+    assert mass.note == "not measured by this log, mostly the model file’s; original 21.00 kg"
 
 
 def estimate(advice="better", *, alarms=(), **fields):

@@ -21,6 +21,7 @@ from symbid_ros.report.log_figures import (
     pauses,
     shown_error,
     shown_joints,
+    spectrum_panels,
 )
 
 
@@ -36,6 +37,14 @@ def test_the_timeline_shows_used_times_the_held_out_part_and_faults(log):
     (fault,) = rows["/joint_states"]
     assert (fault.kind, fault.left, fault.width) == ("gap", 30, 2.5)
     assert fault.text == "gap from 12.00 to 13.00 s"
+
+
+def test_a_short_gap_shows_in_the_used_part(log):
+    coverage = replace(log.coverage, used=np.array([[0.0, 20.0], [20.01, 40.0]]), faults=())
+    *_, gap = timeline(coverage, None).rows[0].bars
+    assert (gap.kind, gap.text) == ("break", "not used from 20.00 to 20.01 s")
+    assert gap.left == pytest.approx(50, abs=0.3)
+    assert gap.width >= 0.3
 
 
 def test_a_pause_between_recordings_is_short(log):
@@ -75,16 +84,33 @@ class TestAxes:
         assert high - low < 1.3 * measured
         assert forces.coordinates[place] in {panel.title for panel in force_panels(forces)}
 
+    def test_errors_of_the_original_model_on_the_base_are_in_view(self):
+        forces = content_of_a_log(3, outlier=1e5).shown.log.forces
+        for place in np.flatnonzero(forces.has_rows).tolist():
+            if forces.coordinates[place].startswith("base/"):
+                error = forces.measured[:, place] - forces.before[:, place]
+                assert shown_error(forces, place) >= error_limit(error)
+                low, high = force_range(forces, place)
+                before = forces.before[np.isfinite(forces.before[:, place]), place]
+                assert low <= before.min()
+                assert high >= before.max()
+
     def test_single_outliers_are_cut(self):
         errors = np.ones(1000)
         errors[3] = 1e6
         assert error_limit(errors) < 5
 
-    def test_the_most_loaded_joints_are_shown_in_order(self):
+    def test_the_joints_with_the_largest_errors_are_shown_in_order(self):
         forces = content_of_a_log(9).shown.log.forces
-        loads = forces.rms_measured.copy()
-        loads[[7, 14]] = 100.0
-        shown = shown_joints(replace(forces, rms_measured=loads)).tolist()
+        errors = forces.rmse_after.copy()
+        errors[[7, 14]] = 2 * forces.rms_measured[[7, 14]]
+        worse = replace(forces, rmse_after=errors)
+        assert (
+            next(panel.title for panel in spectrum_panels(worse) if panel.is_printed)
+            == (forces.coordinates[7])
+        )
+        assert len([panel for panel in spectrum_panels(worse) if panel.is_printed]) == 3
+        shown = shown_joints(worse).tolist()
         assert len(shown) == 6
         assert {7, 14} <= set(shown)
         assert shown == sorted(shown)

@@ -36,6 +36,18 @@ def test_mass_and_centre_of_mass_are_those_of_the_robot(robot):
     assert found.is_mean_posture
 
 
+def test_a_mass_is_measured_if_the_data_halve_its_variance(robot):
+    parameters, posture, factor = robot
+    value = parameters.values
+    std = np.linalg.norm(factor[: parameters.inertial : 10].sum(axis=0))
+    masses = parameters.inertial // 10
+    for ratio, expected in ((1.5, True), (1.3, False)):
+        prior_std = np.full(len(parameters), ratio * std / np.sqrt(masses))
+        found = summarise_robot(parameters, value, value, factor, posture, prior_std=prior_std)
+        assert found.is_mass_measured is expected
+    assert summarise_robot(parameters, value, value, factor, posture).is_mass_measured is None
+
+
 def test_deviations_are_those_of_small_changes(robot):
     parameters, posture, factor = robot
     value = parameters.values
