@@ -43,7 +43,6 @@ def init(
     """
     from symbid_ros.atomic_write import check_output_file, require_distinct, write_text
     from symbid_ros.cli.foxglove import layout_text
-    from symbid_ros.diagnosis.findings import Severity
     from symbid_ros.errors import OptionError
     from symbid_ros.model.load import load_model
     from symbid_ros.model.urdf import expanded_name
@@ -88,5 +87,5 @@ def init(
         for line in lines:
             console.print(line, markup=False, highlight=False)
     console.print(f"written: {out}", markup=False, highlight=False)
-    if setup.diagnosis is not None and setup.diagnosis.severity is Severity.UNUSABLE:
+    if not setup.is_usable:
         raise typer.Exit(1)

@@ -247,6 +247,8 @@ def _is_reversed(
     """Return whether all forces and efforts look reversed, so that gravity is reversed."""
     if not rotations or not known or any(gain > 0 for gain, _ in known.values()):
         return False
+    if gains.reversed_wrenches < MAX_UNEXPLAINED * statistics.weight < gains.before:
+        return True
     forces = statistics.mean_forces
     if any(turn.cost > MAX_ROTATION_COST for turn in rotations.values()):
         return False

@@ -156,6 +156,8 @@ class GainEstimate:
     before, after : float
         Root mean square residual of the base's force, N, with all gains at one and with the
         estimated gains.
+    reversed_wrenches : float
+        The same with all wrenches reversed.
     """
 
     sensors: GainLayout
@@ -164,6 +166,7 @@ class GainEstimate:
     left: FloatArray
     before: float
     after: float
+    reversed_wrenches: float = np.inf
 
     def matrix(self, place: slice) -> tuple[FloatArray, FloatArray]:
         """Return A or M (3, 3) of a sensor and the covariance (9, 9) of its rows."""
@@ -187,8 +190,11 @@ def estimate_of(
 ) -> GainEstimate:
     """Return an estimate from the unknowns (p + r,), L of their covariance, and the residuals."""
     p = len(problem.mean)
-    before = problem.rows.residual_squares(problem.expected)
     forces = [name.startswith("base/force") for name in problem.rows.coordinates]
+    reversed_gains = problem.expected
+    for index in range(len(problem.gains.wrench_frames)):
+        reversed_gains[p:][problem.gains.wrench(index)] = -2 * np.eye(3).ravel()
+    before, backwards = map(problem.rows.residual_squares, (problem.expected, reversed_gains))
     return GainEstimate(
         problem.gains,
         at[p:],
@@ -196,6 +202,7 @@ def estimate_of(
         left,
         float(np.sqrt(before[forces].sum())),
         float(np.sqrt(left[forces].sum())),
+        float(np.sqrt(backwards[forces].sum())),
     )
 
 

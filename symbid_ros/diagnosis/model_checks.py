@@ -145,7 +145,10 @@ def check_model(
         )
         return checks
     if verdict.findings:
-        _check_imu_rotations(checks, problem, gains, imus)
+        if verdict.blamed == Kind.IMU_MOUNTING.value:
+            checks.findings += verdict.findings
+        else:
+            _check_imu_rotations(checks, problem, gains, imus)
         if any(one.kind is Kind.IMU_MOUNTING for one in checks.findings):
             checks.left_out.append(f"{OF_FORCES}: {DEPEND_ON_IMU}")
             return checks

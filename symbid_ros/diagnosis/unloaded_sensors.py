@@ -21,6 +21,8 @@ UNLOADED_SHARE, UNLOADED, LOADED_SHARE = 0.05, 20.0, 0.2
 # Parts of a time in the air, at least, and deviations of white noise from their median at which a
 # part is left out, because something still touches the foot.
 FEWEST, OUTLIER = 4, 3.0
+# Share of the parts that must agree: the force on a foot that hardly touches the ground varies.
+AGREEING = 0.5
 # Scatter of the times in the air over that of white noise, above which the offset itself changes.
 WHITE = 2.0
 # Variance of a median over that of a mean.
@@ -104,8 +106,11 @@ class UnloadedSensors:
         for index, times in enumerate(self._times):
             edges = np.flatnonzero(np.diff(np.pad(is_light[:, index], 1).astype(int)))
             for start, stop in zip(edges[::2] + EDGE, edges[1::2] - EDGE, strict=True):
-                if stop - start >= FEWEST:
-                    times.append(_median(mean[start:stop, index], noise[start:stop, index]))
+                if stop - start < FEWEST:
+                    continue
+                found = _median(mean[start:stop, index], noise[start:stop, index])
+                if found[2] > AGREEING * (stop - start):
+                    times.append(found)
 
     def readings(self) -> dict[str, UnloadedReading]:
         """Return the readings of the sensors that were in the air, by frame."""

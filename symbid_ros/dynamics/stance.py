@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.dynamics.contact import contact_jacobian
-from symbid_ros.dynamics.kinematics import LinkPoses, link_poses
+from symbid_ros.dynamics.kinematics import LinkPoses, link_poses, skew
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.tree import RobotModel
 
@@ -26,6 +26,7 @@ ITERATIONS, APPROACH = 8, 4
 BASE_WEIGHT = 3e-3
 POSTURE_WEIGHT = 1e-5  # of joints that are left free by feet and base
 TIME_STEP = 5e-3  # s, of differences in time
+UPWARD = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -39,10 +40,14 @@ class Foot:
     sole : (4,) float64
         Smallest x, largest x, smallest y and largest y of the sole in the frame's axes, m; zeros
         for a foot that touches the ground in a point.
+    radius : float
+        Of a ball about the frame's origin that rolls on the ground, m; zero for a sole, and for a
+        foot that touches the ground at the frame's origin.
     """
 
     frame: str
     sole: FloatArray
+    radius: float = 0.0
 
     @property
     def is_point(self) -> bool:
@@ -74,6 +79,7 @@ class StandingPoses:
         Joints, rad or m.
     slip : (N,) float64
         Largest distance by which the foot's frame, or a corner of its sole, misses its place, m.
+        The frame of a ball is at its place if the ball has rolled there from the stance.
     manipulability : (N, F) float64
         Volume of the foot's motions by unit rates of its leg's joints, over that in the stance
         (Yoshikawa 1985); 0 where a leg is stretched.
@@ -95,7 +101,7 @@ class Stance:
     model : RobotModel
         With a floating base.
     feet : tuple of Foot
-        The F feet, all on one plane at height 0.
+        The F feet, all of which touch the ground at height 0.
     position : (J,) float64
         Joints, rad or m.
     base_position : (3,) float64
@@ -125,13 +131,13 @@ class Stance:
 
     @cached_property
     def places(self) -> tuple[FloatArray, FloatArray]:
-        """Positions (F, 3) and rotations (F, 3, 3) of the feet in the world, on the ground.
+        """Positions (F, 3) and rotations (F, 3, 3) of the feet in the world, in the stance.
 
         The nominal posture may miss the ground slightly; these are level.
         """
         one = self.base_position[None], self.base_rotation[None], self.position[None]
         position, rotation = (each[0] for each in self.feet_poses(*one))
-        position[:, 2] = 0.0
+        position[:, 2] = [foot.radius for foot in self.feet]
         for index, foot in enumerate(self.feet):
             if not foot.is_point:
                 heading = np.arctan2(rotation[index, 1, 0], rotation[index, 0, 0])
@@ -216,13 +222,18 @@ class Stance:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the Jacobian (N, r, 6 + legs) of the feet's places and what they miss (N, r), m.
 
-        Turns of a sole count by the distance of its corners.
+        Turns of a sole count by the distance of its corners. A ball that turns by a rotation vector
+        φ rolls by φ × r e with e upwards. That neglects the order of turns about several axes,
+        which moves the ball by r φ² / 2 at most, about a millimetre.
         """
         poses = link_poses(self.model, position)
         here, turned = self.feet_poses(place, rotation, position, poses)
         goal, goal_rotation = self.places
         own = turned.transpose(0, 1, 3, 2)
-        away = np.einsum("nfij,nfj->nfi", own, goal - here)
+        radius = np.array([foot.radius for foot in self.feet])[:, None]
+        turn = Rotation.from_matrix((turned @ goal_rotation.transpose(0, 2, 1)).reshape(-1, 3, 3))
+        rolled = np.cross(turn.as_rotvec().reshape(here.shape), radius * UPWARD)
+        away = np.einsum("nfij,nfj->nfi", own, goal + rolled - here)
         jacobian = contact_jacobian(self.model, self.frames, poses)
         columns = np.concatenate([np.arange(6), 6 + self.leg_joints])
         rows, miss = [], []
@@ -232,7 +243,9 @@ class Stance:
                 lever = float(np.linalg.norm(foot.half_size))
                 rows.append(lever * part[:, :3])
                 miss.append(lever * _small_turn(own[:, index] @ goal_rotation[index]))
-            rows.append(part[:, 3:])
+            down = -foot.radius * own[:, index, :, 2]
+            lever = np.einsum("ikt,tkn->tin", skew(down.T), part[:, :3])
+            rows.append(part[:, 3:] - lever)
             miss.append(away[:, index])
         return np.concatenate(rows, axis=1), np.concatenate(miss, axis=1)
 

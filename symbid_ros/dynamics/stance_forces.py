@@ -11,8 +11,8 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.contact import contact_jacobian
-from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.stance import Stance, StandingPoses
+from symbid_ros.dynamics.kinematics import link_poses, skew
+from symbid_ros.dynamics.stance import UPWARD, Stance, StandingPoses
 
 LEAST_LOAD = 0.2  # of an equal share of the weight, that each foot carries at least
 LARGEST_SLIP = 5e-4  # m, by which a foot of the planned motion may miss its place
@@ -27,8 +27,8 @@ class GroundForces:
     Attributes
     ----------
     wrench : (N, F, 6) float64
-        (moment; force) on each foot about the middle of its sole, in the sole's axes; world axes
-        for a point, whose moment is zero.
+        (moment; force) on each foot about the middle of its sole, in the sole's axes; for a point
+        about the point that touches the ground, in world axes, with a moment of zero.
     torque : (N, J) float64
         Of the drives, Nm or N.
     """
@@ -65,7 +65,9 @@ def smallest_forces(
         angular = jacobian[:, 6 * index : 6 * index + 3]
         linear = jacobian[:, 6 * index + 3 : 6 * index + 6]
         if foot.is_point:
-            rows.append(rotation[:, index] @ linear)
+            to_world = rotation[:, index]
+            lever = skew(foot.radius * UPWARD)  # from the lowest point of a ball to its centre
+            rows.append(to_world @ linear + lever @ to_world @ angular)
             places += range(6 * index + 3, 6 * index + 6)
             scale += 3 * [1.0]
             continue

@@ -83,6 +83,14 @@ def with_contacts(model: RobotModel, contacts: Sequence[str]) -> RobotModel:
     return replace(model, contacts=found)
 
 
+def contact_radius(model: RobotModel, contact: str) -> float | None:
+    """Return the radius of the ball that touches something; 0 for a point, None for a surface.
+
+    ``contact`` is as in :func:`with_contacts`.
+    """
+    return _radius(_explicit(model, contact))
+
+
 def _explicit(model: RobotModel, contact: str) -> str:
     """Return a contact with the radius of the model's ball in place of ``point``."""
     name, _, kind = contact.partition(":")

@@ -196,7 +196,11 @@ def _feet(plan: ExcitationPlan) -> dict[str, object]:
     contacts = plan.problem.parameters.model.contacts
     unmeasured = () if contacts is None else contacts.frames
     return {
-        foot.frame: {"sole_m": foot.sole.tolist(), "has_sensor": foot.frame not in unmeasured}
+        foot.frame: {
+            "sole_m": foot.sole.tolist(),
+            "radius_m": foot.radius,
+            "has_sensor": foot.frame not in unmeasured,
+        }
         for foot in plan.joints.stance.feet
     }
 

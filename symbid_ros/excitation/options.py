@@ -113,14 +113,14 @@ class ExciteOptions(MountingOptions):
     feet: tuple[str, ...] = option(
         (),
         "Frames on which a robot with a floating base stands, comma-separated, as FRAME for a "
-        "flat sole, or FRAME:point. The base then moves, and the feet stay.",
+        "flat sole, or FRAME:point. A foot that is a ball in the model rolls; FRAME:RADIUS gives "
+        "another radius, m. The base then moves, and the feet stay.",
         unset="the base is fixed",
         group=STANDING,
     )
     contact: tuple[str, ...] = option(
         (),
-        "Those of the feet that have no wrench sensor, as FRAME or FRAME:point, as in `symbid "
-        "identify`.",
+        "Those of the feet that have no wrench sensor, as in `feet`.",
         unset="all feet have one",
         group=STANDING,
     )

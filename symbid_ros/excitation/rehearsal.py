@@ -107,7 +107,10 @@ def standing_simulator(
     for name, limits in plan["joints"].items():
         largest = limits["noise_effort"]
         capacity[robot.joint_names.index(name)] = largest
-    feet = [Foot(name, np.array(each["sole_m"])) for name, each in plan["feet"].items()]
+    feet = [
+        Foot(name, np.array(each["sole_m"]), each.get("radius_m", 0.0))
+        for name, each in plan["feet"].items()
+    ]
     return StandingSimulator(
         draw_truth(
             robot,

@@ -10,8 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.stance import Foot, Stance
+from symbid_ros.dynamics.unmeasured_contacts import contact_radius
 from symbid_ros.errors import ModelError, OptionError
 from symbid_ros.excitation.options import ExciteOptions
+from symbid_ros.identification.robot_options import is_contact_kind
 from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.tree import Frame, RobotModel
 from symbid_ros.model.visual_shapes import VisualShape, collision_shapes
@@ -21,13 +23,12 @@ KEYFRAME = "standing"
 KNEE = 1.5  # rad, of a quadruped that crouches
 # Largest height of a foot above the plane of the others, m, and tilt of a sole, rad.
 UNEVEN, TILTED = 0.02, 0.02
-POINT = "point"
 # Corners of shapes within this height belong to a sole, m, and its smallest width.
 SOLE_THICKNESS, SMALLEST_SOLE = 0.01, 0.02
 
 
 def contact_names(options: ExciteOptions) -> tuple[str, ...]:
-    """Return the feet without a wrench sensor, as FRAME or FRAME:point."""
+    """Return the feet without a wrench sensor, as FRAME, FRAME:point or FRAME:RADIUS."""
     return split_names(options.contact)
 
 
@@ -47,11 +48,14 @@ def find_stance(robot: RobotModel, options: ExciteOptions) -> Stance:
     feet = []
     for name in split_names(options.feet):
         frame, _, kind = name.partition(":")
-        if kind not in ("", POINT):
-            raise OptionError(f"`feet`: {name!r} is no foot; give FRAME or FRAME:point", "E920")
+        if not is_contact_kind(kind):
+            raise OptionError(
+                f"`feet`: {name!r} is no foot; give FRAME, FRAME:point or FRAME:RADIUS", "E920"
+            )
         own = robot.frame(frame, "feet")
-        bounds = np.zeros(4) if kind == POINT else sole_bounds(robot, frame)
-        feet.append(Foot(own.name, bounds))
+        radius = contact_radius(robot, name)
+        bounds = sole_bounds(robot, frame) if radius is None else np.zeros(4)
+        feet.append(Foot(own.name, bounds, radius or 0.0))
     position = _posture(robot, tuple(feet), options)
     nothing = np.zeros(3)
     stance = Stance(robot, tuple(feet), position, nothing, np.eye(3))
@@ -66,7 +70,7 @@ def find_stance(robot: RobotModel, options: ExciteOptions) -> Stance:
         tilt = float(np.arccos(np.clip((up @ level.T)[:, 2], -1, 1)).max())
         if tilt > TILTED:
             raise _no_stance(robot, f"its soles are {np.degrees(tilt):.1f} degrees from level")
-    heights = (place @ level.T)[:, 2]
+    heights = (place @ level.T)[:, 2] - [foot.radius for foot in feet]
     if np.ptp(heights) > UNEVEN:
         raise _no_stance(robot, f"its feet differ by {1e3 * np.ptp(heights):.0f} mm in height")
     if len(feet) + 2 * len(soles) < 3:

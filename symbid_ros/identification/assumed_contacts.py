@@ -26,6 +26,12 @@ Options = TypeVar("Options", bound=RobotOptions)
 
 # Words of the frame of an end that touches the ground; other frames there are those of sensors.
 FOOT_WORDS = re.compile(r"foot|feet|sole|toe|contact|paw|hoof|tip", re.IGNORECASE)
+# Words of the parts of a leg.
+LEG_WORDS = re.compile(
+    r"foot|feet|sole|toe|paw|hoof|leg|hip|thigh|knee|calf|shank|shin|ankle|haa|hfe|kfe",
+    re.IGNORECASE,
+)
+FEWEST_JOINTS = 2  # of a leg
 # Ends of legs are this low, as a share of the robot's height above the lowest one, at this share
 # of the instants at least.
 LOW, OFTEN = 0.1, 0.1
@@ -144,6 +150,18 @@ def _ends(robot: RobotModel) -> list[Frame]:
         balls = [frame for frame in candidates if frame.radius]
         ends.append(max(balls or candidates, key=_reach))
     return ends
+
+
+def leg_ends(robot: RobotModel) -> tuple[str, ...]:
+    """Return the ends of the chains of joints whose names are those of legs."""
+    found = []
+    for end in _ends(robot):
+        chain = np.flatnonzero(robot.ancestors[:, end.link]).tolist()
+        names = [robot.joint_names[joint] for joint in chain]
+        names += [robot.link_names[joint + 1] for joint in chain]
+        if len(chain) >= FEWEST_JOINTS and any(map(LEG_WORDS.search, [end.name, *names])):
+            found.append(end.name)
+    return tuple(found)
 
 
 def _reach(frame: Frame) -> float:

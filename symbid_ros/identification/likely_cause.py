@@ -116,6 +116,41 @@ class Cause:
 
 
 def explained(problem: LoadedProblem, found: Identification) -> Identification:
+    """Return an identification whose alarms name their likely cause.
+
+    Joints that the log lacks are named beside any alarm; other causes are tried for correlated
+    residuals.
+    """
+    found = _with_tried_causes(problem, found)
+    verdict = found.estimate.verdict
+    if verdict is None or not verdict.alarms:
+        return found
+    model = problem.solver.problem.parameters.model
+    names = held_joints(model.joint_names, problem.dataset.segments)
+    own = [name for name in names if name in model.measured_joint_names]
+    if not own:
+        return found
+    alarm = (
+        f"the log lacks {', '.join(own)}, taken to be at rest: motion there would explain the "
+        "other alarms; record the joint states of all joints, or give the names in the log as "
+        "`rename_joint`"
+    )
+    verdict = replace(verdict, alarms=(*verdict.alarms, alarm))
+    return replace(found, estimate=replace(found.estimate, verdict=verdict))
+
+
+def held_joints(names: tuple[str, ...], segments: Iterable[Segment]) -> list[str]:
+    """Return the joints without an effort that are at the same position throughout the log."""
+    first: FloatArray | None = None
+    is_held = np.ones(len(names), dtype=bool)
+    for segment in segments:
+        first = segment.position[0] if first is None else first
+        is_held &= np.all(segment.position == first, axis=0)
+        is_held &= ~np.isfinite(segment.effort).any(axis=0)
+    return [] if first is None else [names[index] for index in np.flatnonzero(is_held)]
+
+
+def _with_tried_causes(problem: LoadedProblem, found: Identification) -> Identification:
     """Return an identification whose alarm of correlated residuals names their likely cause."""
     verdict = found.estimate.verdict
     if verdict is None or not verdict.is_coloured or not verdict.unexplained:

@@ -42,7 +42,7 @@ class RobotOptions(MountingOptions):
         """Refuse invalid values."""
         super().__post_init__()
         for name in self.contacts:
-            if not _is_kind(name.partition(":")[2]):
+            if not is_contact_kind(name.partition(":")[2]):
                 raise OptionError(
                     f"`contact`: {name!r} is no contact; give FRAME, FRAME:point or FRAME:RADIUS",
                     "E501",
@@ -59,7 +59,8 @@ class RobotOptions(MountingOptions):
         return tuple(names(self.contact))
 
 
-def _is_kind(text: str) -> bool:
+def is_contact_kind(text: str) -> bool:
+    """Return whether a text is ``point``, ``surface``, a radius in m or empty."""
     if text in ("", "point", "surface"):
         return True
     try:

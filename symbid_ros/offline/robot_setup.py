@@ -18,15 +18,16 @@ from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
 from symbid_ros.diagnosis.forces import GAINS
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
-from symbid_ros.identification.assumed_contacts import assumed_contacts
+from symbid_ros.identification.assumed_contacts import assumed_contacts, leg_ends
 from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
 from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.exchanged_joints import find_order
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
 from symbid_ros.messages.types import IMU, JOINT_STATE, POSE, WRENCH
-from symbid_ros.model.load import load_model
+from symbid_ros.model.load import is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.offline.base_topics import contact_flags, odometry_topics, pose_topics
 from symbid_ros.offline.name_matching import match_names, most_similar
@@ -40,6 +41,7 @@ SPAN = 4 * 10**9  # ns of a log that show its names
 KNOWN = 0.25
 ANGLES = "roll", "pitch", "yaw"
 ROUNDS = 3  # of corrections, since one wrong sign can hide another
+FEWEST_LEGS = 2  # of a robot whose base hardly ever is fixed
 
 
 def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> RobotSetup:
@@ -67,10 +69,18 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     }
     robot = load_model(model, base)
     has_motion = any(topic.msgtype in (IMU, POSE) for topic in topics)
-    if base == "auto" and robot.floating and not has_motion:
+    has_unknown_base = base == "auto" and robot.floating and not has_motion
+    if has_unknown_base and not is_mjcf(model):  # whose base is free if the file says so
         robot = load_model(model, "fixed")
     robot = bag_log(bags).applied_to(robot)
     setup = RobotSetup(model.absolute(), "floating" if robot.floating else "fixed")
+    if has_unknown_base and len(legs := leg_ends(robot)) >= FEWEST_LEGS:
+        setup.has_open_question = True
+        setup.note(
+            "base",
+            f"CHECK: the model has legs ({', '.join(legs)}), but the log has no IMU and no pose of "
+            "the base. If the base moved, record one of them.",
+        )
     inspector = _Inspector(tuple(bags), robot, tuple(topics), setup)
     inspector.match_joints()
     if robot.floating:
@@ -82,6 +92,7 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     else:
         inspector.find_drives()
     inspector.find_wrist_sensors()
+    inspector.exchange_joints()
     inspector.find_mounting()
     inspector.correct_signs_and_units()
     return setup
@@ -271,6 +282,29 @@ class _Inspector:
                 f"{100 * share:.0f} % of the force is that of a body of {mass:.3g} kg.",
             )
 
+    def exchange_joints(self) -> None:
+        """Exchange joints of the log if the efforts are then explained.
+
+        Otherwise scales and signs of efforts would explain a part of them.
+        """
+        options = self.setup.options
+        robot = with_robot_options(self.robot, self._given)
+        log = bag_log(self.bags, robot, TopicSelection.of(self.setup.log_options))
+        order = find_order(first_segments(log, robot), robot)
+        if order is None:
+            return
+        names = robot.joint_names
+        owners = {names[read]: names[own] for own, read in enumerate(order.tolist())}
+        wrong = [name for name, owner in owners.items() if owner != name]
+        renamed = dict(entry.split(":=", 1) for entry in options.get("rename_joint", []))
+        renamed = {name: name for name in wrong if name not in renamed.values()} | renamed
+        new = {recorded: owners.get(name, name) for recorded, name in renamed.items()}
+        options["rename_joint"] = [f"{one}:={name}" for one, name in new.items() if one != name]
+        self.setup.note(
+            "rename_joint",
+            f"CHECK: found from the efforts: the log exchanges {', '.join(wrong)}.",
+        )
+
     def find_mounting(self) -> None:
         """Say how gravity acts on a fixed base if the efforts contradict the model."""
         robot = with_robot_options(self.robot, self._given)
@@ -298,8 +332,7 @@ class _Inspector:
         """Correct wrong signs and units until the doctor finds none."""
         found = self._diagnosed()
         for _ in range(ROUNDS):
-            kinds = {one.kind for one in found.findings}
-            if not kinds & CORRECTABLE or not self._correct(found):
+            if not _is_correctable(found) or not self._correct(found):
                 break
             found = self._diagnosed()
         self.setup.diagnosis = found
@@ -412,6 +445,10 @@ CORRECTABLE = {
     Kind.CONTRADICTION,
     Kind.WEIGHT,
 }
+
+
+def _is_correctable(found: Diagnosis) -> bool:
+    return any(one.kind in CORRECTABLE for one in found.findings)
 
 
 def _preference(topic: str, joints: JointStream) -> tuple[bool, bool, int, str]:

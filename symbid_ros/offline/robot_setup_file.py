@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from symbid_ros.atomic_write import write_text
-from symbid_ros.diagnosis.findings import Diagnosis
+from symbid_ros.diagnosis.findings import Diagnosis, Severity
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.options import options_of
 
@@ -27,6 +27,8 @@ class RobotSetup:
         Lines about each option, and about the file under the empty name.
     diagnosis : Diagnosis or None
         What the doctor says of the log, read with these options.
+    has_open_question : bool
+        Whether a line is a guess that only the user can confirm.
     """
 
     model: Path
@@ -34,6 +36,14 @@ class RobotSetup:
     options: dict[str, list[str]] = field(default_factory=dict)
     comments: dict[str, list[str]] = field(default_factory=dict)
     diagnosis: Diagnosis | None = None
+    has_open_question: bool = False
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the log can be identified as the file says."""
+        found = self.diagnosis
+        is_unusable = found is not None and found.severity is Severity.UNUSABLE
+        return not (self.has_open_question or is_unusable)
 
     def note(self, option: str, line: str) -> None:
         """Add a comment about an option."""
@@ -71,6 +81,8 @@ class RobotSetup:
         yield "/**:"
         yield "  ros__parameters:"
         yield f"    model: {_yaml(str(self.model))}"
+        for line in self.comments.get("base", []):
+            yield f"    # {line}"
         yield f"    base: {self.base}"
         for name, what in DESCRIPTIONS.items():
             values = self.options.get(name, [])

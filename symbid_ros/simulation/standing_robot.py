@@ -31,7 +31,8 @@ from symbid_ros.simulation.tracking import (
 
 IMU = "imu_link"
 FLOOR_FRICTION = 0.8
-# Radius of the spheres that touch the floor, m. A point foot touches it at its frame's origin.
+# Radius of the spheres that touch the floor, m, unless the foot is a ball. A point touches it at
+# its frame's origin.
 POINT_RADIUS, CORNER_RADIUS = 0.001, 0.005
 # Feedback of joints, as if each carried its share of the mass at the farther end of its lever: a
 # wrong model of the mass by 25 % then lowers the base by 6 mm. With more damping, light legs
@@ -231,7 +232,7 @@ def _plant(
     # equation of motion.
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
-    depth = POINT_RADIUS if all(foot.is_point for foot in feet) else 0.0
+    depth = POINT_RADIUS if all(foot.is_point and not foot.radius for foot in feet) else 0.0
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 0.1],
@@ -271,7 +272,7 @@ def _add_contacts(spec: mujoco.MjSpec, robot: RobotModel, foot: Foot) -> None:
         body.add_site(
             name=foot.frame, pos=frame.translation, quat=quaternion_from_rotation(frame.rotation)
         )
-    points, radius = np.zeros((1, 3)), POINT_RADIUS
+    points, radius = np.zeros((1, 3)), foot.radius or POINT_RADIUS
     if not foot.is_point:
         radius = CORNER_RADIUS
         points = np.array([[x, y, radius] for x in foot.sole[:2] for y in foot.sole[2:]])

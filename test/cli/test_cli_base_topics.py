@@ -70,6 +70,21 @@ def test_a_measured_pose_replaces_an_imu(urdf, steps, tmp_path):
     assert setup.log_options.pose_frame == "base"
 
 
+def test_legs_without_an_imu_leave_the_base_open(symbid_here, urdf, steps, tmp_path):
+    """A robot with legs hardly ever has a fixed base."""
+    joints = {topic: one for topic, one in steps.items() if topic == "/joint_states"}
+    bag = record_log(joints, load_model(urdf), tmp_path / "bag")
+    out = tmp_path / "robot.yaml"
+    ended = symbid_here("init", "--model", urdf, "--bag", bag, "--out", out)
+    assert (ended.returncode, ended.stderr) == (1, "")
+    lines = out.read_text().splitlines()
+    asked = lines[lines.index("    base: fixed") - 1]
+    assert asked.startswith("    # CHECK: the model has legs (")
+    assert "no IMU and no pose of the base" in asked
+    # Who says that the base is fixed is not asked.
+    assert not inspect_robot(urdf, [bag], "fixed").has_open_question
+
+
 def test_the_odometry_of_a_wheeled_base_is_listed(tmp_path):
     arm = random_robot(3, links=3, floating=False, wrench_frames=0)
     (tmp_path / "arm.urdf").write_text(urdf_text(arm))

@@ -315,6 +315,23 @@ def test_a_guess_of_names_is_marked(tmp_path) -> None:
     ) in (tmp_path / "robot.yaml").read_text()
 
 
+@pytest.mark.parametrize("order", [[0, 2, 1, 3, 4, 5], [2, 0, 1, 3, 4, 5]], ids=str)
+@pytest.mark.parametrize("is_named", [True, False])
+def test_exchanged_joints_are_found_rather_than_scales(tmp_path, order, is_named) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 10.0, 1, friction=0.05).joints
+    names = arm.joint_names if is_named else [f"motor_{number}" for number in range(6)]
+    columns = [each[:, order] for each in (read.position, read.velocity, read.effort)]
+    rows = zip(read.stamp, *columns, strict=True)
+    messages = [joint_state(int(stamp), names, *one) for stamp, *one in rows]
+    setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    expected = {name: arm.joint_names[own] for name, own in zip(names, order, strict=True)}
+    found = entries(setup.options["rename_joint"])
+    assert found == {name: own for name, own in expected.items() if name != own}
+    assert "effort_scale" not in setup.options
+    assert any("the log exchanges" in line for line in setup.comments["rename_joint"])
+
+
 @given(st.permutations(ARM), st.sampled_from(["robot1_", "left/", ""]))
 def test_matching_is_one_to_one_and_independent_of_order(names: list[str], prefix: str) -> None:
     found, guessed = match_names([f"{prefix}{name}" for name in names], ARM)

@@ -37,6 +37,7 @@ class Robot:
     wrenches: list = field(default_factory=lambda: [IDENTITY, IDENTITY])
     efforts: list = field(default_factory=lambda: [1.0] * 4)
     left: float = 0.01  # of the weight, with gains of one
+    left_reversed: float = 2.0  # of the weight, with all wrenches reversed
     floating: bool = True
     loaded: tuple = (True, True)
     driven: int = 4
@@ -51,7 +52,8 @@ class Robot:
             mean[layout.wrench(index)] = (matrix - IDENTITY).ravel()
         mean[layout.efforts] = np.array(self.efforts[: self.driven]) - 1
         covariance = self.std**2 * np.eye(len(mean))
-        gains = GainEstimate(layout, mean, covariance, np.zeros(0), self.left * 500.0, 5.0)
+        before, backwards = 500.0 * self.left, 500.0 * self.left_reversed
+        gains = GainEstimate(layout, mean, covariance, np.zeros(0), before, 5.0, backwards)
         statistics = SimpleNamespace(
             model=SimpleNamespace(floating=self.floating),
             weight=500.0,
@@ -112,6 +114,9 @@ def test_reversed_gravity_is_the_imus_fault():
     (finding,) = robot.verdict().findings
     assert finding.figures == {"gain": -1.0}
     assert reversed_imu_finding(["/a", "/b"]).stream == ""
+    # One wrench that is also rotated a little does not balance it, but all together do.
+    tilted = Robot([-IDENTITY, -ODD], [-1.0] * 4, left=2.0, left_reversed=0.05)
+    assert tilted.kinds == [(Kind.IMU_MOUNTING, "/imu")]
     # One that is not, or none at all, is another fault.
     for other in (
         Robot([-IDENTITY, IDENTITY], [-1.0] * 4),

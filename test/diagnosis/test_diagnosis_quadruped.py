@@ -264,3 +264,16 @@ def test_wrenches_with_the_same_fault_are_named_one_by_one(judged, count) -> Non
             log[topic]["wrench"] *= -1
 
     assert sorted(found(judged(spoil))) == [(Kind.WRENCH_SIGN, topic) for topic in topics]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_reversed_accelerometer_is_not_blamed_on_forces_and_efforts(
+    model, tmp_path, seed
+) -> None:
+    parameters = ParameterSet(model)
+    real = parameters.link_phi(draw_prior(parameters, "consistent", 25, seed).mean)
+    spoilt = standing_log(model.with_phi(real), 8.0, seed)
+    spoilt[IMU]["linear_acceleration"] *= -1
+    diagnosis = diagnose(bag_log([record_log(spoilt, model, tmp_path / "bag")], model), model)
+    assert found(diagnosis) == [(Kind.IMU_MOUNTING, IMU)]
+    assert "wrong sign" in diagnosis.findings[0].message

@@ -120,3 +120,13 @@ def test_swings_tare_the_plates_of_a_stepping_robot(stepped) -> None:
         tare = problem.checks.tares[("left_sole", "right_sole")[index // 6]]
         error = names[place + index] - truth.ravel()[index]
         assert abs(error) < 4 * tare.std[index % 6]
+
+
+def test_a_foot_that_hardly_touches_the_ground_is_not_in_the_air() -> None:
+    """Its load has a minimum, and never stays the same."""
+    segment = foot(WEIGHT)
+    time = np.arange(len(segment)) / RATE
+    segment.wrenches[:, 0, 5] += 5.0 + 100.0 * (1 - np.cos(2 * np.pi * time / 2.0))
+    segment.wrenches[:, 0, 5] -= segment.wrenches[:, 0, 5].min() - 5.0
+    assert readings(foot(WEIGHT)) != {}
+    assert readings(segment) == {}

@@ -275,3 +275,72 @@ def test_a_plan_of_another_robot_is_refused(plans, symbitron, tmp_path):
                 seed=None,
             )
         assert error.value.code == code
+
+
+@pytest.fixture(scope="module")
+def balls():
+    """A robot whose feet are balls of 2 cm."""
+    (found,) = (each for each in files("example-robot-data") or () if each.name == "a1.urdf")
+    return load_model(Path(str(found.locate())), "floating")
+
+
+BALLS = tuple(f"{name}_foot:point" for name in ("FL", "FR", "RL", "RR"))
+RADIUS = 0.02
+
+
+def test_feet_that_are_balls_roll(balls):
+    """The lowest points are at rest, the balls' centres move."""
+    stance = find_stance(balls, ExciteOptions(feet=BALLS))
+    assert [foot.radius for foot in stance.feet] == [RADIUS] * 4
+    motion = random_motion(0, 20, 0.03)
+    samples, poses = stance.samples(motion)
+    assert poses.slip.max() < 1e-6
+    centres, turned = stance.feet_poses(poses.base_position, poses.base_rotation, poses.position)
+    np.testing.assert_allclose(centres[..., 2], RADIUS, atol=1e-6)
+    J = contact_jacobian(balls, stance.frames, link_poses(balls, samples.position))
+    height = stance.base_position[2]
+    linear = np.einsum("nji,nj->ni", poses.base_rotation, height * motion[1, :, :3])
+    rates = np.hstack([samples.base_angular_velocity, linear, samples.velocity])
+    twist = np.einsum("nij,nj->ni", J, rates).reshape(20, 4, 2, 3)
+    down = -RADIUS * turned[..., 2, :]
+    lowest = twist[:, :, 1] + np.cross(twist[:, :, 0], down)
+    assert np.abs(lowest).max() < 0.05 * np.abs(twist[:, :, 1]).max()
+
+
+@pytest.mark.parametrize(
+    ("kind", "radius"), [("point", RADIUS), ("0.0", 0.0), ("0.03", 0.03)], ids=str
+)
+def test_feet_and_contacts_mean_the_same(balls, kind, radius):
+    feet = tuple(f"{name.partition(':')[0]}:{kind}" for name in BALLS)
+    options = ExciteOptions(feet=feet, contact=feet, no_collision=True, **SHORT)
+    problem = excitation_problem(balls, options, SENSORS)
+    assert [foot.radius for foot in problem.design.expected.joints.stance.feet] == [radius] * 4
+    assert problem.parameters.model.contacts.radii.tolist() == [radius] * 4
+
+
+def test_the_floor_touches_a_simulated_ball_at_its_lowest_point(balls, tmp_path):
+    options = ExciteOptions(feet=BALLS, no_collision=True, **SHORT)
+    problem = excitation_problem(balls, options, SENSORS)
+    random = TrajectoryOptimizer(problem.design, seed=0).draw()
+    write_plan(ExcitationPlan(problem, random, random), tmp_path / "plan")
+    simulator = standing_simulator(
+        balls,
+        tmp_path / "plan",
+        truth=TruthOptions(truth_seed=3),
+        has_friction=True,
+        sensors=SENSORS,
+        base_sensors=BaseSensorOptions(),
+        seed=None,
+    )
+    instants = [simulator.step() for _ in range(100)]
+    rotation = Rotation.from_quat([each.base_orientation for each in instants]).as_matrix()
+    place = np.array([each.base_position for each in instants])
+    order = [simulator.joint_names.index(joint) for joint in balls.joint_names]
+    position = np.array([each.true_position for each in instants])[:, order]
+    stance = problem.design.expected.joints.stance
+    centres, turned = stance.feet_poses(place, rotation, position)
+    np.testing.assert_allclose(centres[..., 2], RADIUS, atol=2e-3)
+    force, moment = np.split(np.array([each.wrenches for each in instants]), 2, axis=2)
+    lever = -RADIUS * turned[..., 2, :]
+    assert np.abs(moment).max() > 0.01
+    np.testing.assert_allclose(moment, np.cross(lever, force), atol=0.02 * np.abs(moment).max())

@@ -135,3 +135,19 @@ def test_efforts_in_another_unit_are_the_one_cause_of_correlated_residuals(robot
     (coloured,) = [one for one in alarms if "white noise" in one]
     assert "the factors of the efforts that another alarm names" in coloured
     assert "none of these" not in coloured
+
+
+@pytest.mark.parametrize("is_moving", [True, False])
+def test_an_alarm_names_joints_that_the_log_lacks(robot, is_moving):
+    """A joint that is taken to be at rest may have moved."""
+    truth = drives(robot, viscous=0.4)
+    joints = log_of(robot, truth, seconds=SECONDS).streams().joints
+    time = (joints.stamp - joints.stamp[0]) * 1e-9
+    position, effort = joints.position.copy(), joints.effort.copy()
+    if is_moving:
+        position[:, JOINT], effort[:, JOINT] = position[0, JOINT], np.nan
+    log = sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
+    found = sy.identify(robot, log, no_holdout=True, unchecked=True)
+    named = [one for one in found.alarms if one.startswith(f"the log lacks joint_{JOINT}")]
+    assert len(named) == is_moving
+    assert bool(found.alarms) == is_moving

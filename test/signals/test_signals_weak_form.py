@@ -9,12 +9,13 @@ import pytest
 from analytic_log import analytic_segment, noisy
 from expected_errors import raises_code
 from random_robots import random_robot, with_drives
+from scipy.sparse import csr_array
 
 from symbid_ros.dynamics.regressor import COULOMB_SPEED, Rows
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.sampled_rows import SampledRows
+from symbid_ros.signals.sampled_rows import SLIPPING, SampledRows, valid_coordinates
 from symbid_ros.signals.sensor_samples import smoothed
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
@@ -24,6 +25,7 @@ from symbid_ros.signals.weak_form import (
     REPLAYED_BLOCKS,
     SETTLING,
     WINDOWS,
+    average,
     block_length,
     check_windows,
     equation_rows,
@@ -184,7 +186,7 @@ def test_rows_at_a_lower_rate_differ_by_little_of_their_noise(rate, least, terms
     for few, full, true in zip(some[0], every[0], clean[0], strict=True):
         np.testing.assert_array_equal(few.stamp, full.stamp)
         # Whether a joint slips for long enough is decided by fewer samples.
-        assert np.mean(few.valid != full.valid) < 0.01
+        assert np.mean(few.valid != full.valid) < 0.03
         used = few.valid & full.valid & true.valid
         for matrix in (
             lambda rows, used=used: rows.mean.K[used],
@@ -363,3 +365,19 @@ def test_replayed_blocks_represent_all_blocks_evenly():
 
 def test_blocks_before_the_log_are_replayed():
     assert [represented_blocks(index) for index in (-1000, -1, 0)] == [1, 1, 1]
+
+
+def test_a_joint_that_sticks_at_the_end_of_a_window_has_no_row():
+    """Friction that is off by twice the Coulomb friction for a tenth of the time would matter."""
+    parameters = ParameterSet(random_robot(1, links=2), ("coulomb",))
+    window, rate = 0.32, 500.0
+    stamp = np.arange(round(window * rate)) * round(1e9 / rate)
+    weights = np.hanning(len(stamp))
+    weights /= weights.sum()
+    for share, is_valid in ((0.1, False), (0.02, True)):
+        sticks = np.cumsum(weights) < share
+        velocity = np.where(sticks, 0.0, 1.0)[:, None]
+        obeys = valid_coordinates(parameters, velocity)
+        rows = Rows(np.zeros((len(stamp), 7, 1)), np.zeros((len(stamp), 7)))
+        found = average(iter([SampledRows(stamp, rows, obeys)]), [csr_array(weights[None])])
+        assert bool(found[0].valid[0, 6] > SLIPPING) == is_valid
