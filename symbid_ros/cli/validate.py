@@ -93,7 +93,7 @@ def compare(
     agree.
     """
     from symbid_ros.cli.tables import print_comparison
-    from symbid_ros.identification.validation import compare as rank
+    from symbid_ros.identification.comparison import compare as rank
     from symbid_ros.offline.bags import load_bag
 
     with progress_shown():

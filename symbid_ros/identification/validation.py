@@ -10,7 +10,6 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.blas_threads import on_one_blas_thread
-from symbid_ros.errors import EstimateError
 from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.error_changes import (
     ALL_JOINTS,
@@ -26,7 +25,6 @@ from symbid_ros.identification.force_errors import (
     ForceError,
     ForceRows,
     TotalMass,
-    compare_errors,
     differ_relevantly,
 )
 from symbid_ros.identification.prediction import ForcePredictor
@@ -45,7 +43,6 @@ NOTICEABLE, SMALL_EFFORT = 0.01, 0.05
 # Share of errors in their 90 % interval below which standard deviations are too small, and rows
 # that a single coordinate needs to be named.
 LEAST_COVERAGE, COVERAGE_ROWS = 0.7, 20
-WINDOW = 0.161  # s; for comparisons of results without windows
 
 
 @dataclass(frozen=True)
@@ -271,27 +268,6 @@ class Validation:
         )
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Several results validated on the same rows of one log.
-
-    Attributes
-    ----------
-    ranking : tuple of Validation
-        The smallest error first.
-    verdict : str
-        Which result to use.
-    """
-
-    ranking: tuple[Validation, ...]
-    verdict: str
-
-    def document(self) -> dict[str, object]:
-        """Return everything but the series, for JSON."""
-        ranking = [one.document() for one in self.ranking]
-        return versioned("comparison", {"verdict": self.verdict, "ranking": ranking})
-
-
 @on_one_blas_thread
 def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = ()) -> Validation:
     """Compare what an identified robot predicts for a log with what was measured.
@@ -311,7 +287,7 @@ def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = 
     SymbidError
         When a file of the result, or the log, is invalid or belongs to another robot.
     """
-    predictor = _predictor(result, log, payload)
+    predictor = predictor_of(result, log, payload)
     return validate_segments(predictor, AlignedLog(log, predictor.parameters.model), log.source)
 
 
@@ -319,69 +295,11 @@ def validate_segments(
     predictor: ForcePredictor, segments: Iterable[Segment], source: str
 ) -> Validation:
     """Validate a result on aligned segments of a log named ``source``; see :func:`validate`."""
-    return _assess(predictor, ForceRows.of(predictor, segments, source), source)
+    return assess(predictor, ForceRows.of(predictor, segments, source), source)
 
 
-@on_one_blas_thread
-def compare(
-    results: Sequence[Result | str | Path], log: Log, *, payload: Sequence[str] = ()
-) -> Comparison:
-    """Rank results by their error on a log, all on the same rows.
-
-    Unless all results have equal rows, the rows are averaged over the longest of their windows.
-    Only rows that are valid for every result count.
-
-    Parameters
-    ----------
-    results : sequence of Result, str or Path
-        Results, or folders of saved ones, of robots with the same joints.
-    log : Log
-        Measurements that no identification used.
-    payload : sequence of str
-        As of :func:`validate`.
-
-    Raises
-    ------
-    SymbidError
-        When a file of a result, or the log, is invalid or belongs to another robot.
-    """
-    predictors = [_predictor(result, log, payload) for result in results]
-    first = predictors[0]
-    lengths = [one.settings.window for one in predictors if one.settings.filter == "weak"]
-    window = max((length for length in lengths if length), default=WINDOW)
-    has_equal_rows = len({one.settings for one in predictors}) == 1
-    data = []
-    for predictor in predictors:
-        model = predictor.parameters.model
-        if model.coordinates != first.parameters.model.coordinates:
-            raise EstimateError(
-                f"{predictor.name}: its joints are not those of {first.name}; compare results of "
-                "one robot",
-                "E512",
-            )
-        alike = predictor if has_equal_rows else predictor.over_windows(window)
-        data.append(ForceRows.of(alike, AlignedLog(log, model), log.source))
-    valid = np.logical_and.reduce([one.valid for one in data])
-    if not valid.any():
-        raise EstimateError(
-            f"{log.source}: has no row that is valid for every result; give a log in which more "
-            "joints move",
-            "E508",
-        )
-    data = [replace(one, valid=valid) for one in data]
-    found = [
-        _assess(predictor, rows, log.source)
-        for predictor, rows in zip(predictors, data, strict=True)
-    ]
-    order = sorted(range(len(found)), key=lambda index: found[index].main.rmse_after)
-    ranking = tuple(found[index] for index in order)
-    if len(ranking) == 1:
-        return Comparison(ranking, f"{ranking[0].result}: {ranking[0].verdict}")
-    verdict = _ranking_verdict(ranking[:2], [data[index] for index in order[:2]])
-    return Comparison(ranking, verdict + _remark_on_use(ranking))
-
-
-def _predictor(result: Result | str | Path, log: Log, payload: Sequence[str]) -> ForcePredictor:
+def predictor_of(result: Result | str | Path, log: Log, payload: Sequence[str]) -> ForcePredictor:
+    """Return what predicts the forces of a log with payloads; see :func:`validate`."""
     if isinstance(result, Result):
         predictor = result.predictor
     else:
@@ -389,7 +307,8 @@ def _predictor(result: Result | str | Path, log: Log, payload: Sequence[str]) ->
     return predictor.with_frames_of(log).carrying(payload)
 
 
-def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validation:
+def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validation:
+    """Return the validation of a result on rows of a log named ``source``."""
     model = rows.model
     joints = rows.joints if model.floating else rows.main
     drives = ALL_JOINTS if len(rows.joints) else WRIST_SENSORS
@@ -522,36 +441,3 @@ def _reservations(found: Validation) -> str:
             f"{'it hardly moves' if are == 'is' else 'they hardly move'} or the effort is unknown"
         )
     return "".join(f"; {remark}" for remark in remarks)
-
-
-def _ranking_verdict(pair: Sequence[Validation], data: Sequence[ForceRows]) -> str:
-    """Compare the best two results."""
-    best, second = data
-    places = best.main
-    change = compare_errors(
-        second.error_after[:, places], best.error_after[:, places], best.y[:, places]
-    )
-    figures = " against ".join(_after(one) for one in pair)
-    if change.is_decrease:
-        return f"{pair[0].result} predicts best: {figures}"
-    return f"{pair[0].result} and {pair[1].result} hardly differ: {figures}"
-
-
-def _remark_on_use(ranking: Sequence[Validation]) -> str:
-    """Return how much of the log each result was identified from; empty if none was."""
-    used = [
-        f"{one.result} used {one.seconds_used:.0f} s" for one in ranking if one.seconds_used > 0
-    ]
-    if not used:
-        return ""
-    return (
-        f"; of the log's {ranking[0].seconds:.0f} s, {' and '.join(used)} for the identification; "
-        "repeat this with another log"
-    )
-
-
-def _after(found: Validation) -> str:
-    main = found.main
-    if main.percent_after is None:
-        return f"{main.rmse_after:.3g} {main.unit}"
-    return percent(main.percent_after)
