@@ -21,7 +21,7 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.decimation import derivatives, difference, power_spectrum
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.sampled_rows import SLIPPING
+from symbid_ros.signals.sampled_rows import least_slipping
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import (
@@ -259,7 +259,7 @@ class FastRows:
             noise_below_motion(channels.values(block), block.rate),
             K.swapaxes(0, 1).astype(np.complex64),
             y.swapaxes(0, 1),
-            mean.valid > SLIPPING,
+            mean.valid > least_slipping(LENGTH),
             readings[middle],
         )
 

@@ -19,17 +19,22 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sensor_samples import SensorSamples
 
-# A joint's row is used if the joint slipped for this share of the window. In the rest, friction may
-# be off by twice the Coulomb friction. With 0.8, legs that stick at their reversals left correlated
-# residuals of 1 % of the torque. With 0.95, their logs tell as much about the robot.
-SLIPPING = 0.95
-# The same share in combinations of coordinates, in which some joint nearly always sticks. Windows
-# in which a contact is open and closed for more than the rest are left out.
+# A joint's row is used if the joint slipped for this share of the window, and did not for this time
+# at most, s. The rest is enough for a reversal, about which friction says most; in a longer one a
+# loaded joint sticks, and its friction may be off by twice the Coulomb friction.
+SLIPPING, LONGEST_REVERSAL = 0.8, 0.03
+# The share in combinations of coordinates, in which some joint nearly always sticks. Windows in
+# which a contact is open and closed for more than the rest are left out.
 COMBINED = 0.8
 # Share of the joints in a combination that must slip. One of a dozen leg joints sticks nearly
 # always, and hardly any row would be left if all had to slip. The friction of a sticking joint,
 # which no column describes, is less than that of all joints without the column of Coulomb friction.
 MOST = 0.5
+
+
+def least_slipping(window: float) -> float:
+    """Return the share of a window (s) for which a joint must slip."""
+    return max(SLIPPING, 1 - LONGEST_REVERSAL / window)
 
 
 @dataclass(frozen=True)

@@ -34,10 +34,10 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.decimation import Decimator, decimation_stride
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sampled_rows import (
-    SLIPPING,
     CombinedCoordinates,
     RowBuilder,
     SampledRows,
+    least_slipping,
     rows_that_hold,
     sampled_rows,
 )
@@ -335,7 +335,8 @@ def block_rows(
         noisy = _averages_of(build, more, weights)
     stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
     return tuple(
-        _windowed_rows_of(*parts, represented) for parts in zip(mean, noisy, stamps, strict=True)
+        _windowed_rows_of(*parts, window, represented)
+        for *parts, window in zip(mean, noisy, stamps, windows, strict=True)
     )
 
 
@@ -442,13 +443,14 @@ def _add(a: Average, b: Average) -> Average:
 
 
 def _windowed_rows_of(
-    mean: Average, noisy: Average | None, stamp: IntArray, represented: int
+    mean: Average, noisy: Average | None, stamp: IntArray, window: float, represented: int
 ) -> WindowedRows:
     if mean.combined is not None:
         valid, slips = mean.combined.valid()
     else:
-        valid = mean.valid > SLIPPING
-        slips = None if mean.slips is None else (mean.slips > SLIPPING) & valid
+        least = least_slipping(window)
+        valid = mean.valid > least
+        slips = None if mean.slips is None else (mean.slips > least) & valid
     noise = None
     if noisy is not None:
         scale = np.sqrt(represented)
