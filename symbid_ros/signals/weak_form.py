@@ -335,8 +335,8 @@ def block_rows(
         noisy = _averages_of(build, more, weights)
     stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
     return tuple(
-        _windowed_rows_of(*parts, window, represented)
-        for *parts, window in zip(mean, noisy, stamps, windows, strict=True)
+        _windowed_rows_of(one, other, stamp, window, represented)
+        for one, other, stamp, window in zip(mean, noisy, stamps, windows, strict=True)
     )
 
 
