@@ -59,7 +59,11 @@ def force_text(size: float, unit: str) -> str:
 
 
 def unexplained_forces(
-    short: Observations, long: Observations, phi: FloatArray, units: Sequence[str]
+    short: Observations,
+    long: Observations,
+    phi: FloatArray,
+    units: Sequence[str],
+    factors: Sequence[int] = (),
 ) -> tuple[UnexplainedForce, ...]:
     """Return the unexplained force of each coordinate that has rows.
 
@@ -73,6 +77,9 @@ def unexplained_forces(
         Parameters.
     units : sequence of str
         Of the n coordinates.
+    factors : sequence of int
+        Which parameters are factors of measured efforts. Their columns contain the efforts, and
+        the target does not.
     """
     ratio = short.window / long.window
     counts = short.counts.diagonal()
@@ -84,7 +91,11 @@ def unexplained_forces(
     )
     is_certain = after > chance * ratio * before
     lasting = np.maximum(after - ratio * before, 0.0) / (1 - ratio)
-    measured = short.rows.target_squares / np.maximum(counts, 1)
+    squares = short.rows.target_squares.copy()
+    for column in factors:
+        for row in np.flatnonzero(short.layout.structure[:, column]).tolist():
+            squares[row] = phi[column] ** 2 * short.rows.column_squares(row, column)
+    measured = squares / np.maximum(counts, 1)
     names = short.layout.coordinates
     # Single axes of a base's wrench may be near zero.
     for kind in ("base/moment", "base/force"):

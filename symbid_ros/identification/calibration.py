@@ -274,7 +274,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
             observations = observations.restricted(extended.layout.parameters)
         prior = extended.problem.prior
         pseudo_measurements = extended.with_closure(stances, point)
-        if request.factors is not None and scale is None:
+        if request.factors is not None and request.factors.tell_scale and scale is None:
             scale = _scale_row(request.factors, errors, prior.mean[p:], p)
             if is_undetermined(scale, observations, prior, pseudo_measurements, p):
                 remarks = (ASSUMED,)

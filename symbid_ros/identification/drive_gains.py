@@ -28,6 +28,11 @@ logger = logging.getLogger(__name__)
 DECIDED = 0.1
 # Standard deviation of a factor, relative to its first guess.
 SPREAD = 1.0
+# What calibrated joints tell of the other factors, as the share of a joint's effort that the links
+# explain: they decide where these explain next to nothing.
+CALIBRATED = 0.1
+# Number of joints whose efforts the links must explain for first guesses to tell a common scale.
+LEAST_EXPLAINED = 1.0
 
 
 @dataclass(frozen=True)
@@ -45,12 +50,16 @@ class InitialFactors:
         links explain.
     unsigned : tuple of str
         Those whose sign the log does not show; it is taken as positive.
+    tell_scale : bool
+        Whether the guesses tell the common scale. They do not if other joints are calibrated and
+        the links explain next to nothing of these efforts.
     """
 
     joints: tuple[str, ...]
     values: FloatArray
     weights: FloatArray
     unsigned: tuple[str, ...] = ()
+    tell_scale: bool = True
 
     def report(self, source: str) -> None:
         """Warn about joints of a log whose sign is not known."""
@@ -129,7 +138,9 @@ def initial_factors(
     found = {joint: _factor(moments[model.joint_names.index(joint)]) for joint in joints}
     weights = np.array([one.explained for one in found.values()])
     sizes = np.log([one.size for one in found.values()])
-    common = weights @ sizes / weights.sum() if weights.any() else 0.0
+    has_calibrated = len(joints) < len(named_joints(("all",), model))
+    total = weights.sum() + CALIBRATED * has_calibrated
+    common = weights @ sizes / total if total else 0.0  # the logarithm of a calibrated one is zero
     # Torque that the links do not explain makes the logarithm of a factor uncertain by about
     # √((1 - e)/e). Those of one robot differ by about one, so the best weights are e and 1 - e.
     guesses = np.exp(weights * sizes + (1 - weights) * common)
@@ -137,8 +148,9 @@ def initial_factors(
     for (joint, one), guess in zip(found.items(), guesses, strict=True):
         values[model.joint_names.index(joint)] = one.sign * guess
     unsigned = tuple(joint for joint, one in found.items() if not one.is_certain)
+    tell_scale = not has_calibrated or weights.sum() >= LEAST_EXPLAINED
     weights = weights if weights.any() else np.ones(len(joints))
-    return InitialFactors(joints, values, weights / weights.sum(), unsigned)
+    return InitialFactors(joints, values, weights / weights.sum(), unsigned, tell_scale)
 
 
 def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:

@@ -28,7 +28,7 @@ from symbid_ros.signals.sensor_errors import DRIVE_GAIN, SensorErrors
 PLAUSIBLE, LEAST_SQUARE = 0.2, 5.0
 # Most of the held-out error that remains with the factors: its share, and its size in percent.
 # Above that, something else is wrong, which factors follow.
-REMAINS, UNDERSTOOD = 0.85, 10.0
+REMAINS, UNDERSTOOD = 0.9, 10.0
 # Part of the improvement by factors of all joints that those of the named ones must bring.
 LEAST_PART = 1 / 3
 # A factor is named if it differs from the usual one by these, in deviations and as a share. Units

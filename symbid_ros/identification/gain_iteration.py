@@ -37,6 +37,9 @@ from symbid_ros.signals.weak_form import Average, AveragingRows, equation_rows
 
 # Identifications with given gains, and linearised steps after each.
 ROUNDS, STEPS = 3, 8
+# Deviation of the terms of a drive with an unknown gain at least, in their values: their prior,
+# which suits the size of the efforts, does not tell the gain.
+FREE = 10.0
 # Largest change of a gain's logarithm in one step, and the one at which steps stop.
 LARGEST_STEP, CONVERGED = 1.0, 1e-3
 
@@ -132,11 +135,12 @@ def identify_gains(
         if turn == 0:
             phi = _whole(problem, solver, solver.posterior.mean)
             rows = columns.linearised(_rows_of(solver, raw), phi, gains)
-            unknowns = unknowns.with_scale(problem, rows, phi)
-        phi, gains = _improved(solver, columns, raw, unknowns, gains)
+            if factors.tell_scale:
+                unknowns = unknowns.with_scale(problem, rows, phi)
+        phi, gains = _improved(solver, columns, raw, unknowns, gains, joints=factors.joints)
     whole = _whole(problem, solver, phi)
     found = replace(
-        unknowns.added(problem, gains),
+        unknowns.added(_with_free_terms(problem, whole, factors.joints), gains),
         observations=tuple(columns.linearised(one, whole, gains) for one in raw),
         sensor_units=errors.units,
         calibrated_rows=CalibratingRows(parameters, errors, LinearizationPoint(whole, gains)),
@@ -225,11 +229,14 @@ def _improved(
     raw: Sequence[Observations],
     unknowns: _Gains,
     gains: FloatArray,
+    *,
+    joints: tuple[str, ...],
 ) -> tuple[FloatArray, FloatArray]:
     """Return parameters (p,) and gains (r,) after linearised steps from a solution."""
     phi = solver.posterior.mean
     # With a prior that changes, steps go to and fro between wide links and unlike gains.
     problem = replace(solver.problem, prior=solver.posterior.prior, is_empirical=False)
+    problem = _with_free_terms(problem, phi, joints)
     columns = columns.restricted(problem.parameters.names)
     rows = _rows_of(solver, raw).restricted(columns.layout.parameters)
     before, share = np.zeros(len(gains)), 1.0
@@ -247,6 +254,16 @@ def _improved(
         if np.abs(step).max() < CONVERGED:
             break
     return phi, gains
+
+
+def _with_free_terms(problem: Problem, phi: FloatArray, joints: tuple[str, ...]) -> Problem:
+    """Return a problem in which the prior of joints' terms, about φ (p,), is wide."""
+    scale = np.ones(len(problem.prior.mean))
+    names = problem.parameters.names
+    for index in range(problem.parameters.inertial, len(names)):
+        if names[index].rpartition("/")[0] in joints:
+            scale[index] = max(1.0, FREE * abs(phi[index]) / problem.prior.std[index])
+    return replace(problem, prior=problem.prior.widened(scale))
 
 
 def _rows_of(solver: Solver, raw: Sequence[Observations]) -> Observations:

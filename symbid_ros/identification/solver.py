@@ -36,6 +36,7 @@ from symbid_ros.model.wrist_sensors import sensor_names
 from symbid_ros.package_paths import package_version
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.sampled_rows import RowBuilder
+from symbid_ros.signals.sensor_errors import DRIVE_GAIN
 
 # Mean square difference of two estimates, in deviations, above which the model is wrong. It is a
 # few hundredths for logs that obey the model.
@@ -170,8 +171,11 @@ class Solver:
         observations = self.problem.observations
         if len(observations) < 2:
             return ()
-        units = self.problem.parameters.model.coordinate_units
-        return unexplained_forces(observations[0], observations[-1], self.posterior.mean, units)
+        problem, mean = self.problem, self.posterior.mean
+        names = (*problem.parameters.names, *problem.sensor_names)
+        factors = [index for index, name in enumerate(names) if name.endswith(f"/{DRIVE_GAIN}")]
+        units = problem.parameters.model.coordinate_units
+        return unexplained_forces(observations[0], observations[-1], mean, units, factors)
 
     @property
     def alarms(self) -> tuple[str, ...]:

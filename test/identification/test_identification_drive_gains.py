@@ -193,3 +193,24 @@ def test_a_sign_that_the_log_does_not_show_is_reported_once_if_factors_are_asked
     said = [one for one in caplog.messages if "the sign of the effort" in one]
     assert len(said) == 1
     assert "the effort of joint_1, which" in said[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_factor_that_friction_hides_is_uncertain(robot, seed):
+    """A light wrist's effort is friction and armature, which grow and shrink with the factor."""
+    light = robot.with_phi(robot.phi * np.array([1.0, 1.0, 1.0, 1e-3])[:, None])
+    truth = drives(light, viscous=0.4, coulomb=0.8, armature=0.1)
+    log = log_of(light, truth, seed=seed)
+    rng = np.random.default_rng(seed)
+    wrong = light.with_phi(light.phi * rng.uniform(0.8, 1.2, 4)[:, None])
+    found = sy.identify(wrong, log, drive_gain="joint_2")
+    (last,) = found.estimate.verdict.sensors
+    assert last.std > 0.03
+    assert abs(last.value - 1) < 3 * last.std
+    for term, value in (("viscous", 0.4), ("coulomb", 0.8), ("armature", 0.1)):
+        one = found.parameters[f"joint_2/{term}"]
+        assert abs(one.value - value) < 3 * one.std
+    assert not found.alarms
+    # Efforts of unknown unit are columns: their size must not be that of the noise.
+    sizes = {one.coordinate: one.measured for one in found.estimate.verdict.unexplained}
+    assert sizes["joint_2"] > 0.5
