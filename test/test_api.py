@@ -165,9 +165,32 @@ def test_errors_of_a_prediction_are_those_of_the_report(robot, log, options) -> 
     reported = result.estimate.residual_rmse
     assert prediction.rmse.keys() == reported.keys()
     largest = np.nanmax(np.abs(prediction.measured))
-    for name, value in prediction.rmse.items():
-        assert value == pytest.approx(reported[name], rel=1e-6, abs=1e-9 * largest)
+    shares = np.isfinite(prediction.error).mean(axis=0)  # others count as zero in the report
+    for (name, value), share in zip(prediction.rmse.items(), shares[shares > 0], strict=True):
+        expected = pytest.approx(reported[name], rel=1e-6, abs=1e-9 * largest)
+        assert value * np.sqrt(share) == expected
     assert np.all(np.diff(prediction.stamp) > 0)
+
+
+def test_errors_of_a_prediction_are_those_of_the_rows_that_are_used() -> None:
+    measured = np.array([[3.0, np.nan], [np.nan, np.nan], [3.0, np.nan]])
+    found = sy.ForcePrediction(np.arange(3), ("a", "b"), measured, np.zeros((3, 2)))
+    assert found.rmse == {"a": 3.0}
+
+
+def test_a_robot_may_be_named_by_its_file(robot, log) -> None:
+    given = sy.diagnose(robot.source, log)
+    assert given.findings == sy.diagnose(robot, log).findings
+
+
+@pytest.mark.parametrize("function", [sy.identify, sy.diagnose])
+def test_other_things_than_robots_and_logs_are_named(function, robot, log, result) -> None:
+    with pytest.raises(TypeError, match=r"robot must be .*load_model.*, not Log"):
+        function(log, robot)
+    with pytest.raises(TypeError, match=r"log must be .*load_bag.*, not Result"):
+        function(robot, result)
+    with pytest.raises(TypeError, match=r"log must be .*load_bag.*, not str"):
+        function(robot, "my_bag")
 
 
 def test_a_table_needs_pandas(result, monkeypatch) -> None:

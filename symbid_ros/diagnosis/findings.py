@@ -32,6 +32,7 @@ class Kind(Enum):
     SILENT = "silent"
     SHORT = "short"
     NOT_FINITE = "not_finite"
+    SPIKE = "spike"
     FROZEN = "frozen"
     SATURATED = "saturated"
     ACCELEROMETER_GAIN = "accelerometer_gain"

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -28,6 +29,9 @@ DEVIATIONS = 3.0
 REVERSED = 2 * MIN_EVIDENCE
 # Smallest gain that is reported, relative to the common gain.
 SMALLEST = 1e-4
+# Factors of the efforts of so many joints that differ from one power of ten by less are its unit.
+SAME_UNIT, FEWEST_OF_A_UNIT = 1.1, 3
+MILLI = 1e-3
 # Several faults of one kind may have one cause. More faults than this of several kinds are
 # reported as one contradiction.
 MOST_FAULTS = 2
@@ -58,6 +62,7 @@ class SignConversions:
 
 
 NO_CONVERSIONS = SignConversions()
+NONE_BEYOND: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -156,6 +161,7 @@ def check_forces(
             known,
             common,
             [name for name in efforts if name not in known],
+            beyond=statistics.beyond_limits,
             conversions=conversions,
         ),
     ]
@@ -173,6 +179,17 @@ def check_forces(
             "gains of the wrench sensors: no effort is known well enough to compare them with",
         )
     return ForceVerdict(tuple(found), figures, found[0].kind.value if found else "", left_out)
+
+
+def common_unit(factors: Collection[float]) -> float | None:
+    """Return the power of ten that the factors of all joints' efforts are close to, if any.
+
+    Torque constants and gear ratios of three joints or more are not that close to one.
+    """
+    powers = np.log10(np.abs([*factors])) if factors else np.zeros(0)
+    power = float(np.rint(np.median(powers))) if len(powers) else 0.0
+    is_unit = power and min(factors) > 0 and np.all(np.abs(powers - power) < np.log10(SAME_UNIT))
+    return 10.0**power if is_unit and len(powers) >= FEWEST_OF_A_UNIT else None
 
 
 def _is_known(gain: float, std: float) -> bool:
@@ -324,6 +341,7 @@ def _effort_findings(
     common: float,
     unknown: Sequence[str] = (),
     *,
+    beyond: Mapping[str, tuple[float, float]] = NONE_BEYOND,
     conversions: SignConversions = NO_CONVERSIONS,
 ) -> Iterator[Finding]:
     """Yield findings about signs and gains of efforts.
@@ -337,6 +355,8 @@ def _effort_findings(
         The gain of the other sensors.
     unknown : sequence of str
         The other driven joints.
+    beyond : mapping of str to (float, float)
+        RMS efforts beyond the limits of the model, and these limits.
     conversions : SignConversions
         Those that the user gave.
     """
@@ -358,6 +378,13 @@ def _effort_findings(
     are_all = len(known) > 2 and [len(names) for names in groups] == [len(known)]
     usual = dict.fromkeys(unknown, float(np.median(list(wrong.values())))) if are_all else {}
     factors = {name: 1 / one for name, one in (wrong | usual).items()}
+    if are_all and (unit := common_unit([1 / one for one in wrong.values()])) is not None:
+        yield _unit_finding(
+            topic, wrong, unit, conversions.effort_line(dict.fromkeys(factors, unit))
+        )
+        return
+    if excess := {name: beyond[name] for name in unknown if name in beyond and not usual}:
+        yield _limit_finding(topic, excess, conversions)
     line = conversions.effort_line(factors)
     drives = "all" if are_all else ",".join(factors)
     for names in groups:
@@ -373,6 +400,41 @@ def _effort_findings(
             "identify the factors",
             {"reads": reads} | {f"{name}/reads": wrong[name] for name in names},
         )
+
+
+def _unit_finding(topic: str, reads: Mapping[str, float], unit: float, line: str) -> Finding:
+    """Return the finding that the efforts of all joints are in another unit."""
+    middle = float(np.median(list(reads.values())))
+    name = ", as if in mNm (Nmm)" if unit == MILLI else ""
+    return Finding(
+        Kind.TORQUE_GAIN,
+        topic,
+        Severity.WARNING,
+        f"{topic}: effort of all joints reads {middle:.3g} times what the motion implies{name}; "
+        f"publish Nm (N), or write {line}",
+        {"reads": middle} | {f"{joint}/reads": one for joint, one in reads.items()},
+    )
+
+
+def _limit_finding(
+    topic: str, excess: Mapping[str, tuple[float, float]], conversions: SignConversions
+) -> Finding:
+    """Return the finding that the RMS efforts of joints exceed their limits."""
+    ratios = {name: effort / limit for name, (effort, limit) in excess.items()}
+    each = ", ".join(
+        f"{name} {effort:.3g} of {limit:g}" for name, (effort, limit) in excess.items()
+    )
+    action = "check their unit"
+    if max(ratios.values()) * MILLI < 1:
+        action += f", and for mNm write {conversions.effort_line(dict.fromkeys(excess, MILLI))}"
+    return Finding(
+        Kind.TORQUE_GAIN,
+        topic,
+        Severity.WARNING,
+        f"{topic}: RMS efforts exceed the limits in the model: {each} Nm (N); {action}, or correct "
+        "the limits",
+        {f"{name}/times_limit": one for name, one in ratios.items()},
+    )
 
 
 def _sign_finding(

@@ -175,6 +175,19 @@ class ModelStatistics:
         return self._force_sum / max(self._samples, 1)
 
     @property
+    def beyond_limits(self) -> dict[str, tuple[float, float]]:
+        """RMS effort of each joint that exceeds the model's limit, and that limit, Nm or N."""
+        first = self.model.dof - len(self.model.joints)
+        found = {}
+        for index, place in enumerate(self.gains.driven):
+            column = len(self.parameters.values) + self.gains.efforts.start + index
+            effort = float(np.sqrt(self.rows.column_squares(first + place, column)))
+            joint = self.model.joints[place]
+            if effort > joint.effort:
+                found[joint.name] = effort, joint.effort
+        return found
+
+    @property
     def mean_row(self) -> FloatArray:
         """Mean regressor (n, p): the information of a robot at rest."""
         return self._row_sum / max(self.rows.samples, 1)

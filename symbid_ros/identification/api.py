@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -25,6 +26,7 @@ from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result import LogInformation, Result
 from symbid_ros.identification.robot_options import RobotOptions
+from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
@@ -34,7 +36,7 @@ T = TypeVar("T", bound=RobotOptions)
 
 @on_one_blas_thread
 def identify(
-    robot: RobotModel,
+    robot: RobotModel | str | Path,
     log: Log | LogInformation,
     options: IdentifyOptions | None = None,
     **fields: Any,
@@ -43,8 +45,8 @@ def identify(
 
     Parameters
     ----------
-    robot : RobotModel
-        Its kinematics are used, and its inertias as prior means.
+    robot : RobotModel, str or Path
+        A robot, or its URDF or MJCF. Its kinematics are used, and its inertias as prior means.
     log : Log or LogInformation
         Measurements, or the information of earlier logs (see :func:`merge`).
     options : IdentifyOptions, optional
@@ -60,6 +62,8 @@ def identify(
     if options is not None and fields:
         raise OptionError("give either options or single fields, not both", "E502")
     options = options or _options(IdentifyOptions, fields)
+    robot = _loaded(robot)
+    _require_log(log, (Log, LogInformation))
     if isinstance(log, LogInformation):
         problem = load_information(robot, log.observations, options)
         found = problem.with_provenance(problem.solve())
@@ -73,14 +77,18 @@ def identify(
 
 @on_one_blas_thread
 def diagnose(
-    robot: RobotModel | None, log: Log, options: RobotOptions | None = None, **fields: Any
+    robot: RobotModel | str | Path | None,
+    log: Log,
+    options: RobotOptions | None = None,
+    **fields: Any,
 ) -> Diagnosis:
     """Check whether a log can be used to identify a robot, as ``symbid bag doctor`` does.
 
     Parameters
     ----------
-    robot : RobotModel or None
-        The nominal robot, with inertias within about 25 %; None checks each topic by itself.
+    robot : RobotModel, str, Path or None
+        The nominal robot or its file, with inertias within about 25 %; None checks each topic by
+        itself.
     log : Log
     options : RobotOptions, optional
         Mounting, wrist sensors and contacts, as of an identification.
@@ -88,6 +96,8 @@ def diagnose(
         These options by name instead, such as ``wrist_sensor=("tool0",)``.
     """
     options = options or _options(RobotOptions, fields)
+    robot = None if robot is None else _loaded(robot)
+    _require_log(log, (Log,))
     if robot is None:
         return doctor.diagnose(log)
     log = log.of_robot(robot)
@@ -179,6 +189,26 @@ def regressor(
     )
     terms = () if options is None or options.chooses_terms else options.terms
     return equation_of_motion(ParameterSet(robot, terms), samples).K
+
+
+def _loaded(robot: RobotModel | str | Path) -> RobotModel:
+    if isinstance(robot, RobotModel):
+        return robot
+    if isinstance(robot, str | Path):
+        return load_model(robot)
+    raise TypeError(
+        "robot must be a RobotModel (see symbid_ros.load_model) or the path of its file, not "
+        f"{type(robot).__name__}"
+    )
+
+
+def _require_log(log: object, kinds: tuple[type, ...]) -> None:
+    if not isinstance(log, kinds):
+        names = " or a ".join(kind.__name__ for kind in kinds)
+        raise TypeError(
+            f"log must be a {names} (see symbid_ros.load_bag and symbid_ros.Log.from_arrays), not "
+            f"{type(log).__name__}"
+        )
 
 
 def _options(kind: type[T], fields: dict[str, Any]) -> T:

@@ -120,16 +120,15 @@ class ForcePrediction:
 
     @property
     def rmse(self) -> dict[str, float]:
-        """Root mean square error of each coordinate that has rows, Nm or N.
+        """Root mean square error of each coordinate that has rows, over these rows, Nm or N.
 
-        Rows that are left out count as zero, as in ``residual_rmse`` of estimate.json.
+        ``residual_rmse`` of estimate.json counts rows that are left out as zero.
         """
-        squares = np.nansum(self.error**2, axis=0) / max(len(self.stamp), 1)
-        used: list[bool] = np.any(np.isfinite(self.error), axis=0).tolist()
+        squares, counts = np.nansum(self.error**2, axis=0), np.isfinite(self.error).sum(axis=0)
         return {
-            name: float(np.sqrt(square))
-            for name, square, is_used in zip(self.coordinates, squares, used, strict=True)
-            if is_used
+            name: float(np.sqrt(square / count))
+            for name, square, count in zip(self.coordinates, squares, counts, strict=True)
+            if count
         }
 
     def __repr__(self) -> str:

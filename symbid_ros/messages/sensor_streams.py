@@ -27,6 +27,7 @@ from symbid_ros.signals.defects import (
 )
 from symbid_ros.signals.driving import driving_intervals, is_accelerating, is_driving
 from symbid_ros.signals.joint_merging import merged_joints
+from symbid_ros.signals.spikes import without_spikes
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 AXES = ("x", "y", "z", "w")
@@ -115,7 +116,9 @@ def build_joints(
 ) -> JointStream:
     """Return the joint states of a robot, merged from its topics, as the model defines them."""
     joints = [
-        chosen.unwrapper.unwrapped(build_joint_stream(part, tallies[topic]))
+        without_spikes(
+            chosen.unwrapper.unwrapped(build_joint_stream(part, tallies[topic])), tallies[topic]
+        )
         for topic in chosen.joints
         for part in split_by_joints(decoders[topic], chosen.recorded_joints, tallies[topic])
     ]
@@ -287,13 +290,14 @@ def build_wrench_stream(decoder: TopicDecoder, tally: DefectCounts) -> WrenchStr
     force, torque = read_field(decoder, "wrench.force"), read_field(decoder, "wrench.torque")
     usable = _usable(tally, stamp, {"wrench.force": force, "wrench.torque": torque})
     kept = _in_order(usable, stamp, tally)
-    return WrenchStream(
+    read = WrenchStream(
         topic=topic,
         frame_id=frame_id,
         stamp=stamp[kept],
         force=force[kept],
         torque=torque[kept],
     )
+    return without_spikes(read, tally)
 
 
 def build_pose_stream(decoder: TopicDecoder, tracked: str, tally: DefectCounts) -> PoseStream:

@@ -4,7 +4,7 @@ Names are matched first. Then the equation of motion, with the model's inertias 
 wrong signs and units, as in `symbid bag doctor`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -15,7 +15,7 @@ from symbid_ros.bags import bag_log, count_messages, join_names
 from symbid_ros.choices import Base
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
-from symbid_ros.diagnosis.forces import GAINS
+from symbid_ros.diagnosis.forces import GAINS, MILLI, common_unit
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
 from symbid_ros.identification.assumed_contacts import assumed_contacts, leg_ends
@@ -363,13 +363,15 @@ class _Inspector:
             else:
                 factors[name] = gain / common
         scaled = {name: one for name, one in factors.items() if not GAINS[0] < one < GAINS[1]}
-        for name, factor in scaled.items():
-            self._scale(name, factor)
         usual = median(map(abs, scaled.values())) if scaled else 1.0
         if len(scaled) == len(factors) and not GAINS[0] < usual < GAINS[1]:
             # No joint has the unit of the model, so those without a visible load have not either.
-            for name in unknown:
-                self._scale(name, usual)
+            unit = common_unit(scaled.values())
+            self._scale(scaled | dict.fromkeys(unknown, usual), unit)
+        else:
+            self._scale(scaled)
+            beyond = [name for name in unknown if f"{name}/times_limit" in _figures(found)]
+            self._scale(dict.fromkeys(beyond, MILLI), MILLI)
         if "effort_scale" not in self.setup.options:
             self._reverse_efforts(found)
         for one in found.findings:
@@ -399,11 +401,22 @@ class _Inspector:
                 self.setup.options["effort_scale"] = [f"{name}:=-1.0" for name in joints]
                 self.setup.note("effort_scale", "CHECK: all joints together show this sign.")
 
-    def _scale(self, joint: str, factor: float) -> None:
+    def _scale(self, factors: Mapping[str, float], unit: float | None = None) -> None:
+        """Multiply efforts of joints by factors, or by that of their unit, which is exact."""
+        if not factors:
+            return
         entries = dict(entry.split(":=", 1) for entry in self.setup.options.get("effort_scale", []))
-        entries[joint] = f"{factor * float(entries.get(joint, 1.0)):.3g}"
+        for joint, factor in factors.items():
+            entries[joint] = f"{(unit or factor) * float(entries.get(joint, 1.0)):.3g}"
         self.setup.options["effort_scale"] = [f"{name}:={at}" for name, at in entries.items()]
-        self.setup.options["drive_gain"] = list(entries)
+        if unit is not None:
+            name = "mNm (Nmm)" if unit == MILLI else f"{unit:g} Nm"
+            self.setup.note(
+                "effort_scale", f"CHECK: efforts of {', '.join(factors)} are in {name}."
+            )
+            return
+        drives = self.setup.options.get("drive_gain", [])
+        self.setup.options["drive_gain"] = list(dict.fromkeys([*drives, *factors]))
         self.setup.note(
             "effort_scale",
             "CHECK: found from the model's inertias, or from other joints if no load shows it; "
@@ -445,6 +458,12 @@ CORRECTABLE = {
     Kind.CONTRADICTION,
     Kind.WEIGHT,
 }
+
+
+def _figures(found: Diagnosis) -> dict[str, float]:
+    """Return the figures of all findings about gains of efforts."""
+    gains = (one.figures for one in found.findings if one.kind is Kind.TORQUE_GAIN)
+    return {name: value for figures in gains for name, value in figures.items()}
 
 
 def _is_correctable(found: Diagnosis) -> bool:

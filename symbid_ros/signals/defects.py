@@ -24,6 +24,7 @@ class Defect(Enum):
     DISORDER = "are out of order and were sorted"
     DUPLICATE = "repeat a stamp and were dropped"
     NOT_FINITE = "have no usable {} and were dropped"
+    SPIKE = "have a spike in {}, the first at {first}, and were dropped"
     UNKNOWN_JOINT = "name joints that most messages do not and were dropped"
     REORDERED_JOINTS = "name their joints in a different order and were reordered"
     OTHER_JOINTS = "name only other joints and were dropped"
@@ -68,6 +69,8 @@ class DefectCounts:
         Messages with each defect.
     details : dict of Defect to list of str
         Fields or joints that have the defect.
+    first : dict of Defect to int
+        Stamp of the first message with each defect, ns.
     """
 
     source: str
@@ -76,6 +79,7 @@ class DefectCounts:
     messages: int = 0
     counts: dict[Defect, int] = field(default_factory=dict)
     details: dict[Defect, list[str]] = field(default_factory=dict)
+    first: dict[Defect, int] = field(default_factory=dict)
 
     def count_messages(self, stamps: IntArray) -> None:
         """Count messages by their stamps (N,) ns."""
@@ -85,15 +89,18 @@ class DefectCounts:
         self, defect: Defect, stamps: IntArray, wrong: BoolArray, where: Iterable[str] = ()
     ) -> None:
         """Count the messages (N,) marked as wrong; ``where`` names the fields or joints."""
-        count = int(np.count_nonzero(wrong & self._is_during(stamps)))
+        counted = wrong & self._is_during(stamps)
+        count = int(np.count_nonzero(counted))
         if count:
             self.counts[defect] = self.counts.get(defect, 0) + count
+            self.first.setdefault(defect, int(stamps[counted].min()))
             known = self.details.setdefault(defect, [])
             known += [one for one in where if one not in known]
 
     def description(self, defect: Defect) -> str:
         """Return the part of a warning that follows "3 of 100 messages"."""
-        return defect.value.format(", ".join(self.details.get(defect, [])))
+        first = seconds(self.first.get(defect, 0))
+        return defect.value.format(", ".join(self.details.get(defect, [])), first=first)
 
     def report(self) -> None:
         """Log one warning for each defect."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import FloatArray, IntArray, distinct
 from symbid_ros.errors import DataError
 from symbid_ros.model.fixed_frames import FixedTransform, with_fixed_frames
 from symbid_ros.model.tree import ON_LINK, RobotModel
@@ -21,6 +21,7 @@ from symbid_ros.signals.defects import (
     seconds,
 )
 from symbid_ros.signals.driving import driving_intervals
+from symbid_ros.signals.spikes import without_spikes
 from symbid_ros.signals.streams import (
     WHOLE_LOG,
     ContactFlags,
@@ -34,6 +35,7 @@ from symbid_ros.signals.streams import (
 from symbid_ros.signals.wrapped_angles import AngleUnwrapper
 
 WORLD = "world"
+LEAST_STEP = 50_000.0  # ns; no robot is read more than 20 000 times a second
 SliceReader = Callable[[int | None, bool], Iterator[Slice]]
 
 
@@ -232,7 +234,9 @@ class Log:
             effort=rows("effort", effort),
         )
         unwrapper = AngleUnwrapper(robot.prismatic_joint_names)
-        joints = unwrapper.unwrapped(recorded)
+        tallies.append(DefectCounts(name, recorded.topic))
+        tallies[-1].count_messages(recorded.stamp)
+        joints = without_spikes(unwrapper.unwrapped(recorded), tallies[-1])
         unwrapper.report(name, joints.topic)
         imu_streams = tuple(
             ImuStream(
@@ -245,10 +249,13 @@ class Log:
             )
             for topic, frame, at, read in sensors("imus", imus)
         )
-        wrench_streams = tuple(
+        measured = [
             WrenchStream(topic, frame, at, force=read[:, :3], torque=read[:, 3:])
             for topic, frame, at, read in sensors("wrenches", wrenches)
-        )
+        ]
+        counts = {tally.topic: tally for tally in tallies}
+        wrench_streams = tuple(without_spikes(one, counts[one.topic]) for one in measured)
+        stamps = {one.topic: one.stamp for one in measured} | {recorded.topic: recorded.stamp}
         tracked = tuple(
             PoseStream(topic, frame, WORLD, at, read[:, :3], read[:, 3:])
             for topic, frame, at, read in sensors("poses", poses)
@@ -282,16 +289,24 @@ class Log:
             driving=moves,
             poses=tracked,
         )
-        return cls.from_streams(streams, TimeRange(start, stop), tuple(tallies))
+        return cls.from_streams(streams, TimeRange(start, stop), tuple(tallies), stamps)
 
     @classmethod
     def from_streams(
-        cls, streams: Streams, part: TimeRange = WHOLE_LOG, tallies: tuple[DefectCounts, ...] = ()
+        cls,
+        streams: Streams,
+        part: TimeRange = WHOLE_LOG,
+        tallies: tuple[DefectCounts, ...] = (),
+        recorded: Mapping[str, IntArray] | None = None,
     ) -> "Log":
-        """Return a log of streams in memory, each with strictly increasing stamps."""
+        """Return a log of streams in memory, each with strictly increasing stamps.
+
+        ``recorded`` gives the stamps (N,) ns of topics from which messages were dropped.
+        """
+        stamps = {one.topic: one.stamp for one in streams.all} | dict(recorded or {})
 
         def read(span: int | None, warn: bool) -> Iterator[Slice]:
-            yield from _slices(streams, span, part, tallies)
+            yield from _slices(streams, span, part, tallies, stamps)
             if warn:
                 for tally in tallies:
                     tally.report()
@@ -300,7 +315,19 @@ class Log:
 
 
 def _stamps(time: ArrayLike, name: str) -> IntArray:
-    """Return instants (N,) as ns."""
+    """Return instants (N,) as ns, after checking that their unit is possible."""
+    stamp = _nanoseconds(time, name)
+    steps = np.diff(distinct(stamp))
+    if len(steps) and (step := float(np.median(steps))) <= LEAST_STEP:
+        raise DataError(
+            f"{name}: the median step of time is {step:g} ns, which no sensor's rate is; give "
+            "seconds, or ns if they are integers",
+            "E518",
+        )
+    return stamp
+
+
+def _nanoseconds(time: ArrayLike, name: str) -> IntArray:
     instants: NDArray[np.generic] = np.asarray(time)
     if instants.ndim != 1 or not len(instants):
         raise DataError(
@@ -318,7 +345,11 @@ def _stamps(time: ArrayLike, name: str) -> IntArray:
 
 
 def _slices(
-    streams: Streams, span: int | None, part: TimeRange, tallies: tuple[DefectCounts, ...]
+    streams: Streams,
+    span: int | None,
+    part: TimeRange,
+    tallies: tuple[DefectCounts, ...],
+    stamps: Mapping[str, IntArray],
 ) -> Iterator[Slice]:
     """Yield slices as `bags.slices` does for a bag."""
     stamp = streams.joints.stamp
@@ -330,8 +361,8 @@ def _slices(
         start = until
         until = end if span is None else min((int(stamp[place]) // span + 1) * span, end)
         inside = {
-            each.topic: each.stamp[slice(*np.searchsorted(each.stamp, [start, until]))]
-            for each in streams.all
+            topic: each[slice(*np.searchsorted(each, [start, until]))]
+            for topic, each in stamps.items()
         }
         piece = streams.between(start - margin, until + margin)
         silent = [each.topic for each in piece.all if not len(each.stamp)]

@@ -20,7 +20,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.offline.name_matching import match_names
 from symbid_ros.offline.robot_file import OF_THE_NODE, load_robot_file
 from symbid_ros.offline.robot_setup import inspect_robot
-from symbid_ros.offline.robot_setup_file import DESCRIPTIONS, EXAMPLES
+from symbid_ros.offline.robot_setup_file import DESCRIPTIONS, EXAMPLES, RobotSetup
 from symbid_ros.package_paths import config_file
 
 # Nm per ampere of the motors, whose signs differ.
@@ -99,14 +99,35 @@ def test_init_finds_names_signs_and_units(robot_file) -> None:
     assert len(found) >= 8  # the others have no drive
 
 
-@pytest.mark.parametrize("factor", [0.1, 1000.0])
+def setup_with_efforts(tmp_path, arm, factor, seconds=20.0, **motion) -> RobotSetup:
+    """Return what is found in a log of an arm whose efforts are multiplied by factors."""
+    read = arm_streams(arm, seconds, 1, **motion).joints
+    columns = zip(read.stamp, read.position, read.velocity, factor * read.effort, strict=True)
+    messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in columns]
+    return inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+
+
+def test_efforts_in_newton_millimetres_get_one_exact_scale(tmp_path) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    setup = setup_with_efforts(tmp_path, arm, 1e3, friction=0.05)
+    assert setup.options["effort_scale"] == [f"{name}:=0.001" for name in arm.joint_names]
+    assert "drive_gain" not in setup.options
+    assert any("mNm" in line for line in setup.comments["effort_scale"])
+
+
+def test_an_effort_far_beyond_its_limit_is_in_millinewton_metres(tmp_path) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    factors = np.array([1, 1, 1, 1, 1, 1e3])
+    setup = setup_with_efforts(tmp_path, arm, factors, friction=0.2)
+    assert setup.options["effort_scale"] == ["wrist_3_joint:=0.001"]
+    assert "drive_gain" not in setup.options
+
+
+@pytest.mark.parametrize("factor", [0.13, 700.0])
 def test_drives_without_a_visible_load_have_the_unit_of_the_others(tmp_path, factor) -> None:
     """Otherwise they would tell the scale of the others, as joints in Nm do."""
     arm = load_model(ur5_urdf(), "fixed")
-    read = arm_streams(arm, 20.0, 1, friction=0.08, resting=arm.joint_names[4:]).joints
-    columns = zip(read.stamp, read.position, read.velocity, factor * read.effort, strict=True)
-    messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in columns]
-    setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    setup = setup_with_efforts(tmp_path, arm, factor, friction=0.08, resting=arm.joint_names[4:])
     assert setup.options["drive_gain"] == list(arm.joint_names)
     found = {name: float(one) for name, one in entries(setup.options["effort_scale"]).items()}
     assert list(found.values())[1:3] == pytest.approx([1 / factor] * 2, rel=0.3)
@@ -114,10 +135,7 @@ def test_drives_without_a_visible_load_have_the_unit_of_the_others(tmp_path, fac
 
 def test_efforts_that_are_wrong_together_get_the_other_sign(tmp_path) -> None:
     arm = load_model(ur5_urdf(), "fixed")
-    read = arm_streams(arm, 8.0, 1, friction=0.05).joints
-    columns = zip(read.stamp, read.position, read.velocity, -read.effort, strict=True)
-    messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in columns]
-    setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    setup = setup_with_efforts(tmp_path, arm, -1.0, seconds=8.0, friction=0.05)
     assert setup.options["effort_scale"] == [f"{name}:=-1.0" for name in arm.joint_names]
     assert "drive_gain" not in setup.options
     assert setup.diagnosis.findings == ()

@@ -55,6 +55,25 @@ def test_currents_for_torques(ur5, friction, factor) -> None:
     assert finding.figures["reads"] == pytest.approx(factor, rel=0.3)
 
 
+@pytest.mark.parametrize("resting", [(), ("wrist_2_joint", "wrist_3_joint")])
+def test_newton_millimetres_are_named(ur5, resting) -> None:
+    """Also those of joints that show no load."""
+    streams = arm_streams(ur5, SECONDS, 1, friction=0.05, resting=resting)
+    (finding,) = diagnose(Log.from_streams(with_effort(streams, slice(None), 1e3)), ur5).findings
+    assert finding.kind is Kind.TORQUE_GAIN
+    assert "as if in mNm (Nmm)" in finding.message
+    assert all(f'"{name}:=0.001"' in finding.message for name in ur5.joint_names)
+
+
+def test_an_effort_beyond_its_limit_is_named_if_friction_hides_its_load(ur5) -> None:
+    name = ur5.joint_names[5]
+    streams = arm_streams(ur5, SECONDS, 1, friction=0.2)
+    (finding,) = judged(ur5, with_effort(streams, 5, 1e3)).findings
+    assert (finding.kind, finding.severity) == (Kind.TORQUE_GAIN, Severity.WARNING)
+    assert list(finding.figures) == [f"{name}/times_limit"]
+    assert f'for mNm write effort_scale: ["{name}:=0.001"]' in finding.message
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_short_logs_tell_the_sign_of_all_efforts_together(ur5, seed) -> None:
     """No single joint of this log is known well enough."""

@@ -188,6 +188,20 @@ def test_mostly_not_finite(judged) -> None:
 
 
 @pytest.mark.parametrize(
+    ("topic", "field", "column", "value"),
+    [(JOINTS, "position", 2, 3.0), (JOINTS, "effort", 2, 1e5), (RIGHT, "wrench.force", 2, -3e4)],
+    ids=["position", "effort", "wrench"],
+)
+def test_single_wrong_readings_are_the_only_finding(judged, topic, field, column, value) -> None:
+    def operation(messages: Messages) -> None:
+        messages.records[field][[1500, 3000], column] = value
+
+    found = only(judged({topic: operation}), Kind.SPIKE, topic, Severity.WARNING)
+    assert found.figures["messages"] == 2
+    assert field in found.message
+
+
+@pytest.mark.parametrize(
     ("topic", "fields"), [(IMU, (*RATES, "orientation")), (LEFT, VECTORS)], ids=["imu", "wrench"]
 )
 def test_frozen_sensor(judged, topic, fields) -> None:

@@ -57,6 +57,7 @@ class Robot:
         statistics = SimpleNamespace(
             model=SimpleNamespace(floating=self.floating),
             weight=500.0,
+            beyond_limits={},
             is_loaded=np.array(self.loaded),
             mean_forces=np.array([[0.0, 0, 250], [10, 0, 240]]),
         )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_editing import Messages, edit_bag
 from junk_messages import some_malformed
 from live_feed import Feed, feed_of
 
@@ -22,6 +23,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
+from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.alignment import align_checked
 
@@ -318,6 +320,22 @@ def test_invalid_messages_change_nothing(start, undisturbed, spoil, reason) -> N
     for check in live.checks.values():
         assert not check.dropped or re.search(reason, check.reason), check.reason
     assert live.clock_jumps == live.lost_blocks == 0
+
+
+def test_messages_with_spikes_are_dropped_as_those_of_a_bag(bag, tmp_path) -> None:
+    def operation(messages: Messages) -> None:
+        messages.records["position"][900, 3] += 1.0
+        messages.records["effort"][1200, 0] = 1e5
+
+    spoilt_bag = edit_bag(bag, tmp_path / "bag", {"/joint_states": operation})
+    feed = feed_of(spoilt_bag)
+    live = LiveStreams(feed.selected, "live")
+    for stamp, topic, payload in feed.messages:
+        live.add(topic, stamp, payload)
+    recorded, offline = live.joints.stamps, read_streams([spoilt_bag]).joints
+    streams = live.between(int(recorded[0]), int(recorded[-1]) + 1)
+    assert len(streams.joints.stamp) == len(recorded) - 2
+    np.testing.assert_array_equal(streams.joints.stamp, offline.stamp)
 
 
 def test_late_and_missing_messages_are_counted(start, feed) -> None:

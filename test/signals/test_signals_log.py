@@ -11,6 +11,7 @@ from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
+from symbid_ros.signals.defects import Defect
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import TimeRange
 
@@ -77,6 +78,30 @@ def test_arrays_become_streams_in_the_models_order(robot) -> None:
     np.testing.assert_array_equal(
         imu.linear_acceleration[2:4], given["imus"]["imu_link"][[2, 4], 3:]
     )
+
+
+def test_a_message_with_a_spike_leaves_no_gap(robot) -> None:
+    given = arrays(robot, 400)
+    given["effort"][150, 3] = 1e6
+    given["wrenches"]["left_sole"][170, 1] = -1e6
+    (piece,) = Log.from_arrays(robot, **given).slices(warn=False)
+    streams = piece.streams
+    for stream in (streams.joints, *streams.wrenches):
+        assert len(stream.stamp) == 399
+        assert len(piece.stamps[stream.topic]) == 400
+    counts = {one.topic: one for one in piece.tallies if one.counts}
+    assert set(counts) == {"joints", "wrenches['left_sole']"}
+    assert f"effort of {robot.measured_joint_names[3]}" in counts["joints"].description(
+        Defect.SPIKE
+    )
+
+
+@pytest.mark.parametrize("unit", [1_000, 1_000_000])
+def test_integer_instants_in_milliseconds_or_microseconds_are_refused(robot, unit) -> None:
+    given = arrays(robot)
+    whole = np.rint((given["time"] - given["time"][0]) * unit).astype(int)
+    with raises_code("E518", f"median step.*{unit // 100} ns.*give seconds"):
+        Log.from_arrays(robot, **(given | {"time": whole}))
 
 
 def test_integer_instants_are_nanoseconds_and_sorted(robot) -> None:
