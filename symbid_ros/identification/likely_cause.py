@@ -503,7 +503,7 @@ class _Builder:
         """Return (N, J, k) the columns of ``effects``, and the speed."""
         velocity, joints = readings.velocity, self.parameters.model.joints
         effort = np.nan_to_num(effort)  # joints whose effort was not measured have no rows
-        slips = coulomb_column(velocity)
+        slips = coulomb_column(velocity, joints)
         rate = np.zeros_like(effort)
         if len(readings) > 1:
             rate = np.gradient(effort, float(np.diff(readings.stamp).mean()) * 1e-9, axis=0)
