@@ -460,7 +460,8 @@ class _Builder:
         if not isinstance(build, CalibratingRows):
             # Columns of measured efforts would explain their own residuals: see ``effects``.
             left_out = {"torque_gain"}
-            if not (segment.wrench_frames or segment.imu_frames):
+            others = segment.wrench_frames or segment.imu_frames or parameters.model.wrist_sensors
+            if not others:
                 left_out.add("sensor_delay")
             kinds = [kind for kind in SENSOR_ERROR_KINDS if kind not in left_out]
             errors = SensorErrors.of(
