@@ -102,9 +102,13 @@ def test_a_sensor_that_is_not_named_is_recognised(arm, measured, caplog):
 def test_without_any_effort_the_payload_is_still_found(arm, measured):
     silent = replace(measured, effort=np.full_like(measured.effort, np.nan))
     log = log_of(arm, silent, measured.wrench)
-    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST, unchecked=True)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
     assert_payload(found, FRAME)
     assert not any(one.is_determined for name, one in found.parameters.items() if "arm" in name)
+    # What a payload tells about its own prior is nothing about the links of the model file.
+    assert found.estimate.verdict.prior_scale == pytest.approx(1, abs=0.01)
+    mass = found.parameters["forearm_link/m"]
+    assert mass.std > 0.14 * mass.value
     assert validate(found, log).percent_after < 2
 
 
