@@ -1,6 +1,7 @@
 """A payload behind a wrist sensor is identified together with the arm and the sensor's offset."""
 
 import logging
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -110,6 +111,16 @@ def test_without_any_effort_the_payload_is_still_found(arm, measured):
     mass = found.parameters["forearm_link/m"]
     assert mass.std > 0.14 * mass.value
     assert validate(found, log).percent_after < 2
+
+
+def test_a_sensor_whose_gain_contradicts_the_efforts_raises_an_alarm(arm, measured):
+    for gain in (0.85, 1.15):
+        log = log_of(arm, measured, gain * measured.wrench)
+        found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
+        (alarm,) = (one for one in found.alarms if one.startswith("the wrench at tool0 reads"))
+        said = re.search(r"reads ([0-9.]+) ± ([0-9.]+) times", alarm)
+        value, std = map(float, said.groups())
+        assert abs(value - gain) < 3 * std < 0.15
 
 
 def late_log(arm, measured, late):
