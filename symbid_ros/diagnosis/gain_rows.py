@@ -14,7 +14,7 @@ Offsets of the joints' encoders enter with the derivative of the equation at the
 changes as slowly as the robot moves and is computed for few instants.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -54,7 +54,7 @@ OFFSET_STEP = 1e-4
 
 @dataclass(frozen=True)
 class GainLayout:
-    """Order of the unknowns: wrenches, IMUs, efforts of driven joints, their delays, encoders.
+    """Order of the unknowns: wrenches, IMUs, efforts, their delay, wrist delays, encoders.
 
     Attributes
     ----------
@@ -66,6 +66,8 @@ class GainLayout:
         Names of the driven joints.
     measured : tuple of int
         Indices of the E revolute joints with an encoder of their own.
+    wrist_sensors : mapping of str to slice
+        Indices of the joints of each wrist sensor in the model, by its frame.
     """
 
     wrench_frames: tuple[str, ...]
@@ -73,6 +75,7 @@ class GainLayout:
     driven: tuple[int, ...]
     joint_names: tuple[str, ...]
     measured: tuple[int, ...] = ()
+    wrist_sensors: Mapping[str, slice] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -86,7 +89,8 @@ class GainLayout:
             for place, joint in enumerate(model.joints)
             if joint.kind == "revolute" and place not in model.followers
         )
-        return cls(wrench_frames, imu_frames if model.floating else (), driven, names, measured)
+        imus = imu_frames if model.floating else ()
+        return cls(wrench_frames, imus, driven, names, measured, model.wrist_sensors)
 
     def __len__(self) -> int:
         return int(self.encoders.stop)
@@ -111,14 +115,19 @@ class GainLayout:
         return int(self.efforts.stop)
 
     @property
+    def wrist_delays(self) -> slice:
+        """The indices of the wrist sensors' delays."""
+        return slice(self.effort_delay + 1, self.effort_delay + 1 + len(self.wrist_sensors))
+
+    @property
     def encoders(self) -> slice:
         """The indices of the encoders' offsets, rad."""
-        return slice(self.effort_delay + 1, self.effort_delay + 1 + len(self.measured))
+        return slice(self.wrist_delays.stop, self.wrist_delays.stop + len(self.measured))
 
     @cached_property
     def is_encoder(self) -> BoolArray:
         """(r,) which unknowns are offsets of encoders."""
-        is_encoder: BoolArray = np.arange(len(self)) > self.effort_delay
+        is_encoder: BoolArray = np.arange(len(self)) >= self.encoders.start
         return is_encoder
 
     @cached_property
@@ -126,6 +135,7 @@ class GainLayout:
         """(r,) which unknowns are delays."""
         delay = np.zeros(len(self), dtype=bool)
         delay[PER_SENSOR - 1 : self.efforts.start : PER_SENSOR] = delay[self.effort_delay] = True
+        delay[self.wrist_delays] = True
         return delay
 
     @cached_property
@@ -147,6 +157,8 @@ class GainLayout:
         affects[:, PER_SENSOR * len(self.wrench_frames) : self.efforts.start] = True
         rows, columns_ = self._efforts(model)
         affects[rows, columns_] = affects[rows, self.effort_delay] = True
+        for own, column in self._wrist_sensors(model):
+            affects[own, column] = True
         # A joint's position matters to the joints that carry it and to those that it carries.
         carries = model.ancestors[:, 1:]
         related = carries | carries.T | bool(model.followers)
@@ -161,6 +173,12 @@ class GainLayout:
         """Return the coordinates of the driven joints and the indices of their gains."""
         driven = np.array(self.driven, dtype=np.int64)
         return 6 * model.floating + driven, self.efforts.start + np.arange(len(driven))
+
+    def _wrist_sensors(self, model: RobotModel) -> Iterator[tuple[slice, int]]:
+        """Yield the coordinates of each wrist sensor and the index of its delay."""
+        first = 6 * model.floating
+        for index, joints in enumerate(self.wrist_sensors.values()):
+            yield slice(first + joints.start, first + joints.stop), self.wrist_delays.start + index
 
     def columns(self, parameters: ParameterSet, readings: SensorSamples) -> FloatArray:
         """Return C (N, n, r), the derivative of y by each unknown."""
@@ -198,6 +216,9 @@ class GainLayout:
         effort = np.nan_to_num(readings.effort[:, list(self.driven)])
         C[:, rows_, columns_] = effort
         C[:, rows_, self.effort_delay] = slope(effort)
+        for own, column in self._wrist_sensors(model):
+            joints = slice(own.start - 6 * model.floating, own.stop - 6 * model.floating)
+            C[:, own, column] = slope(np.nan_to_num(readings.effort[:, joints]))
         C[:, :, self.encoders] = self._encoder_columns(parameters, readings)
         return C
 

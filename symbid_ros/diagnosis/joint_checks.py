@@ -170,8 +170,9 @@ class JointCheck:
             *self._absent("position", [i for i in absent if i not in fatal], Severity.WARNING),
         ]
         silent = [i for i in driven if not self._has_effort[i]]
-        # The rows of a floating base are usable without any effort.
-        is_fatal = len(silent) == len(driven) and (model is None or not model.floating)
+        # The rows of a floating base and of wrist sensors are usable without any effort.
+        has_others = model is not None and bool(model.floating or model.wrist_sensors)
+        is_fatal = len(silent) == len(driven) and not has_others
         if model is None and not is_fatal:
             silent = []  # they may be passive
         for is_zero in (True, False):

@@ -306,7 +306,7 @@ def _check_delays(
     imus: Sequence[str],
     wrenches: Mapping[str, str],
 ) -> None:
-    """Check the delays of efforts, IMUs and loaded wrench sensors."""
+    """Check the delays of efforts, IMUs, wrist sensors and loaded wrench sensors."""
     delays, gains = estimate_delays(statistics.problem), statistics.gains
     late = find_late_streams(delays)
     streams = {joints: ("the efforts", gains.effort_delay)} if gains.driven else {}
@@ -323,14 +323,18 @@ def _check_delays(
             delay, std = late[place]
             std = float(np.hypot(std, error)) if what else std
             checks.findings += delay_finding(topic, delay, std, "motion and forces", what)
-    for index, frame in enumerate(statistics.gains.wrench_frames):
+    places = dict(
+        zip(gains.wrist_sensors, range(gains.wrist_delays.start, gains.encoders.start), strict=True)
+    )
+    for index, frame in enumerate(gains.wrench_frames):
         if not statistics.is_loaded[index]:
             checks.left_out.append(
                 f"wrench_sign, wrench_frame, delay of {wrenches[frame]}: it carries "
                 f"{statistics.loads[index]:.2g} N of {statistics.weight:.0f} N"
             )
             continue
-        place = gains.wrench(index).stop
+        places[frame] = gains.wrench(index).stop
+    for frame, place in places.items():
         delay, std = delays.delay(place)
         checks.figures |= {f"{frame}/delay_ms": 1e3 * delay, f"{frame}/delay_std_ms": 1e3 * std}
         if place in late:

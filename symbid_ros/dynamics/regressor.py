@@ -32,41 +32,44 @@ from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import Joint
 
-# Below this speed, rad/s or m/s, a joint may stick, and static friction balances the other forces.
-COULOMB_SPEED = 0.02
+# Speeds and travels of friction, of revolute and of prismatic joints: rad/s and m/s, rad and m.
+# They are equal at a distance of 0.1 m from the axis.
+#
+# Below this speed a joint may stick, and static friction balances the other forces.
+COULOMB_SPEED = 0.02, 0.002
 # Speed below which the column of Coulomb friction is a ramp.
-COULOMB_RAMP = 0.004
-# Speed at which Stribeck friction has fallen to 1/e: revolute joints rad/s, prismatic joints m/s.
+COULOMB_RAMP = 4e-3, 4e-4
+# Speed at which Stribeck friction has fallen to 1/e.
 STRIBECK_SPEED = 0.2, 0.02
-# Travel after a reversal within which friction builds up to 63 %, in presliding: revolute joints
-# rad, prismatic joints m. It is about the hysteresis of a strain wave gear.
+# Travel after a reversal within which friction builds up to 63 %, in presliding: about the
+# hysteresis of a strain wave gear.
 PRESLIDING_TRAVEL = 2e-3, 2e-4
 
 
-def is_slipping(velocity: FloatArray) -> BoolArray:
+def is_slipping(velocity: FloatArray, joints: Sequence[Joint]) -> BoolArray:
     """Return whether joints (N, J) move at ``COULOMB_SPEED`` or faster.
 
     Friction in a sticking joint takes any value up to ± its Coulomb friction, so the joint's row
     of the equation of motion is valid only while the joint slips.
     """
-    moves: BoolArray = np.abs(velocity) >= COULOMB_SPEED
+    moves: BoolArray = np.abs(velocity) >= by_kind(COULOMB_SPEED, joints)
     return moves
 
 
-def coulomb_column(velocity: FloatArray) -> FloatArray:
+def coulomb_column(velocity: FloatArray, joints: Sequence[Joint]) -> FloatArray:
     """Return sign(q̇) (N, J) of Eq. 2.49, with a linear ramp below ``COULOMB_RAMP``.
 
     Without the ramp, noise about zero speed would switch the friction's sign. The ramp does not
     model stiction. It ends far below ``COULOMB_SPEED``: a window of a slipping joint may contain a
     few slower samples, and a column of less than one there would bias the friction.
     """
-    column: FloatArray = np.clip(velocity / COULOMB_RAMP, -1.0, 1.0)
+    column: FloatArray = np.clip(velocity / by_kind(COULOMB_RAMP, joints), -1.0, 1.0)
     return column
 
 
-def sliding_column(samples: Samples) -> FloatArray:
+def sliding_column(samples: Samples, joints: Sequence[Joint]) -> FloatArray:
     """Return :func:`coulomb_column` (N, J) of samples, filtered if they are."""
-    return coulomb_column(samples.velocity) if samples.sliding is None else samples.sliding
+    return coulomb_column(samples.velocity, joints) if samples.sliding is None else samples.sliding
 
 
 def stribeck_column(
@@ -78,9 +81,9 @@ def stribeck_column(
     IEEE CDC). Together with Coulomb and viscous friction it also represents viscous friction that
     saturates with speed, as that of harmonic drives.
     """
-    speed = _by_kind(STRIBECK_SPEED, joints)
+    speed = by_kind(STRIBECK_SPEED, joints)
     if sliding is None:
-        sliding = coulomb_column(velocity)
+        sliding = coulomb_column(velocity, joints)
     column: FloatArray = sliding * np.exp(-np.abs(velocity) / speed)
     return column
 
@@ -98,7 +101,7 @@ def friction_state(position: FloatArray, joints: Sequence[Joint]) -> FloatArray:
     # eights and so on gives all samples without a loop over them.
     gain = np.ones((count, len(joints)))
     shift = np.zeros_like(gain)
-    gain[1:] = np.exp(-np.abs(step) / _by_kind(PRESLIDING_TRAVEL, joints))
+    gain[1:] = np.exp(-np.abs(step) / by_kind(PRESLIDING_TRAVEL, joints))
     shift[1:] = np.sign(step) * (1 - gain[1:])
     if count > 1:
         moves = step != 0
@@ -125,14 +128,14 @@ def presliding_column(samples: Samples, joints: Sequence[Joint]) -> FloatArray:
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = velocity**2 / (2 * np.abs(acceleration))
         distance[velocity * acceleration <= 0] = np.inf  # it will reverse, if at all
-        share = 1 - 2 * np.exp(-distance / _by_kind(PRESLIDING_TRAVEL, joints))
+        share = 1 - 2 * np.exp(-distance / by_kind(PRESLIDING_TRAVEL, joints))
         state = np.sign(velocity) * share
-    column: FloatArray = state - sliding_column(samples)
+    column: FloatArray = state - sliding_column(samples, joints)
     return column
 
 
-def _by_kind(values: tuple[float, float], joints: Sequence[Joint]) -> FloatArray:
-    """Return a value (J,) for each joint, of those for revolute and prismatic ones."""
+def by_kind(values: tuple[float, float], joints: Sequence[Joint]) -> FloatArray:
+    """Return a value (J,) for each joint, given one for revolute and one for prismatic joints."""
     return np.array([values[joint.kind == "prismatic"] for joint in joints])
 
 
@@ -160,7 +163,7 @@ def load_column(
     own[:, first:] = samples.effort
     parameters.model.fold_followers(own)
     load: FloatArray = np.abs(np.nan_to_num((needed - (y - own))[:, first:]))
-    return load * sliding_column(samples)
+    return load * sliding_column(samples, parameters.model.joints)
 
 
 @dataclass(frozen=True)
@@ -373,11 +376,13 @@ def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, Float
         armature[:, parameters.link_side] = 0.0
     return {
         "viscous": samples.velocity,
-        "coulomb": sliding_column(samples),
+        "coulomb": sliding_column(samples, parameters.model.joints),
         "armature": armature,
         "offset": np.ones(1),
         "stribeck": stribeck_column(
-            samples.velocity, parameters.model.joints, sliding_column(samples)
+            samples.velocity,
+            parameters.model.joints,
+            sliding_column(samples, parameters.model.joints),
         ),
         "presliding": presliding_column(samples, parameters.model.joints),
         "stiffness": samples.position
@@ -393,7 +398,7 @@ def _coupled_terms(
     joint = parameters.model.joints[coupling.joints[0]]
     return {
         "viscous": speed,
-        "coulomb": coulomb_column(speed),
+        "coulomb": coulomb_column(speed[:, None], [joint])[:, 0],
         "armature": coupling.speed(samples.acceleration),
         "stribeck": stribeck_column(speed[:, None], [joint])[:, 0],
     }
@@ -401,11 +406,13 @@ def _coupled_terms(
 
 def slipping(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
     """Return which joints (N, J) slip together with all coupled drives that act on them."""
-    slips = is_slipping(velocity)
+    joints = parameters.model.joints
+    slips = is_slipping(velocity, joints)
     for place in parameters.model.wrist_sensors.values():
         slips[:, place] = True  # a sensor has no friction
     for coupling in parameters.couplings:
-        slips[:, coupling.joints] &= is_slipping(coupling.speed(velocity))[:, None]
+        own = [joints[coupling.joints[0]]]
+        slips[:, coupling.joints] &= is_slipping(coupling.speed(velocity)[:, None], own)
     return slips
 
 

@@ -30,12 +30,15 @@ class RowSettings:
         Cutoff frequency of butterworth, Hz.
     channels : str or None
         Signals that butterworth filters.
+    rate : float or None
+        Rate of the log, Hz; None if it is unknown.
     """
 
     filter: Filter
     window: float | None = None
     cutoff: float | None = None
     channels: Channels | None = None
+    rate: float | None = None
 
 
 @dataclass(frozen=True)

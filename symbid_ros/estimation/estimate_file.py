@@ -20,7 +20,7 @@ from symbid_ros.json_documents import VERSIONS, versioned, with_keys
 from symbid_ros.user_files import load_json
 
 # Fields and their keys in the file, with units; earlier releases wrote the fields' names.
-_ROWS = {"window": "window_s", "cutoff": "cutoff_hz"}
+_ROWS = {"window": "window_s", "cutoff": "cutoff_hz", "rate": "rate_hz"}
 _HOLDOUT = {"seconds": "duration_s"}
 _VERDICT = {"window": "window_s", "gain": "gain_bits", "link_gain": "link_gain_bits"}
 
@@ -176,9 +176,10 @@ def _rows(document: dict[str, Any] | None) -> RowSettings | None:
     if document is None:
         return None
     document = _with_field_names(document, _ROWS)
-    numbers = [document[name] for name in ("window", "cutoff") if document[name] is not None]
+    values = document["window"], document["cutoff"], document.get("rate")
+    numbers = [one for one in values if one is not None]
     if any(isinstance(one, bool) or not 0 <= one < np.inf for one in numbers):
-        raise ValueError("rows has a window or cutoff that is negative or not finite")
+        raise ValueError("rows has a window, cutoff or rate that is negative or not finite")
     _one_of(document["filter"], FILTERS)
     _one_of(document["channels"], (None, *CHANNELS))
     return RowSettings(**document)

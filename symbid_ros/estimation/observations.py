@@ -253,7 +253,7 @@ class Observations:
         # A coordinate without residual must keep a finite weight. A coordinate with too few rows
         # fits them exactly, so it gets no weight.
         floor = self._least_residual
-        floor[self._scarce] = NO_WEIGHT * floor.max()
+        floor[self.scarce] = NO_WEIGHT * floor.max()
         moment[np.diag_indices(len(moment))] = np.maximum(moment.diagonal(), floor) + floor
         coupled = int(np.sum(self._coupled.sum(axis=0) > 1))
         moment = definite(moment)
@@ -342,12 +342,16 @@ class Observations:
         return np.asarray(LEAST_OWN * scale + LEAST_OF_ALL * largest)
 
     @property
-    def _scarce(self) -> BoolArray:
-        """(n,) coordinates with too few rows for the parameters that affect no other."""
+    def needed_rows(self) -> FloatArray:
+        """(n,) rows without which a coordinate gets no weight, by its number of own parameters."""
         structure = self.layout.structure
         own = structure[:, structure.sum(axis=0) == 1].sum(axis=1)
-        needed = ROWS_PER_OWN_PARAMETER * own + FEWEST_ROWS
-        return np.asarray(self.counts.diagonal() < needed * self.inflation)
+        return np.asarray((ROWS_PER_OWN_PARAMETER * own + FEWEST_ROWS) * self.inflation)
+
+    @property
+    def scarce(self) -> BoolArray:
+        """(n,) coordinates with too few rows for the parameters that affect no other."""
+        return np.asarray(self.counts.diagonal() < self.needed_rows)
 
 
 def _slipping_coordinates(blocks: Iterable[WindowedRows]) -> BoolArray:
@@ -393,7 +397,7 @@ def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float
     # Rounding counts as white noise.
     rounding = np.diag(short._least_residual)
     before, after = before + rounding, after + rounding * short.window / long.window
-    used = np.flatnonzero(~(short._scarce | long._scarce))
+    used = np.flatnonzero(~(short.scarce | long.scarce))
     if len(used) == 0:
         return 1.0
     some = np.ix_(used, used)

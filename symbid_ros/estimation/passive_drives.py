@@ -17,7 +17,7 @@ from scipy.special import chdtri
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Term
-from symbid_ros.dynamics.regressor import COULOMB_SPEED, stribeck_column
+from symbid_ros.dynamics.regressor import COULOMB_SPEED, by_kind, stribeck_column
 from symbid_ros.estimation.constraints import Bounds
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.physical_consistency import ConsistentSolution, consistent_minimum
@@ -61,7 +61,7 @@ def breakaway_bounds(parameters: ParameterSet) -> Bounds:
         return Bounds((), np.zeros((0, len(parameters))), np.zeros(0), np.zeros(0))
     joints = [parameters.model.joints[joint] for joint in parameters.joints.tolist()]
     count = len(joints)
-    start = stribeck_column(np.full((1, count), COULOMB_SPEED), joints)[0]
+    start = stribeck_column(by_kind(COULOMB_SPEED, joints)[None], joints)[0]
     curve: dict[Term, FloatArray] = {"coulomb": np.ones(count), "stribeck": start}
     matrix = np.zeros((count, len(parameters)))
     for term in columns.keys() & curve.keys():
@@ -98,9 +98,10 @@ def friction_bounds(parameters: ParameterSet, speed: FloatArray) -> Bounds:
 
 def _curve(fastest: float, joint: Joint) -> dict[Term, FloatArray]:
     """Return the columns (k,) of friction at k speeds up to the fastest."""
-    if fastest <= COULOMB_SPEED:
+    slowest = float(by_kind(COULOMB_SPEED, [joint])[0])
+    if fastest <= slowest:
         return {"viscous": np.ones(1)}
-    speed = np.geomspace(COULOMB_SPEED, fastest, SPEEDS)
+    speed = np.geomspace(slowest, fastest, SPEEDS)
     stribeck = stribeck_column(speed[:, None], [joint])[:, 0]
     return {"viscous": speed, "coulomb": np.ones(SPEEDS), "stribeck": stribeck}
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.estimation.observations import Observations
@@ -304,8 +304,8 @@ class _Square:
             x, R = V @ (V.T @ target / least), np.sqrt(least)[:, None] * V.T
         return scale * x, R / scale
 
-    def evidence(self, count: int) -> "PriorEvidence":
-        """Return what the data tell about the deviations of the first ``count`` parameters.
+    def evidence(self, judged: IntArray) -> "PriorEvidence":
+        """Return what the data tell about the deviations of some parameters.
 
         Σ is held constant (MacKay 1992, Neural Computation 4(3)), and noise in the regressor is
         subtracted here too.
@@ -319,11 +319,11 @@ class _Square:
         some = values > max(MIN_INFORMATION, MIN_RELATIVE_INFORMATION * values[-1])
         root = V[:, some] / np.sqrt(values[some])
         A, b = root.T @ H, root.T @ gradient
-        others = len(self.g) - count
+        others = np.setdiff1d(np.arange(len(self.g)), judged)
         # Rows that remain after marginalising the other parameters.
-        rows = np.column_stack([A[:, count:], A[:, :count], b])
-        of_prior = np.eye(others, rows.shape[1])
-        left = stacked_factor(rows, of_prior)[others:, others:]
+        rows = np.column_stack([A[:, others], A[:, judged], b])
+        of_prior = np.eye(len(others), rows.shape[1])
+        left = stacked_factor(rows, of_prior)[len(others) :, len(others) :]
         U, values, Vt = np.linalg.svd(left[:, :-1], full_matrices=False)
         pull = U.T @ left[:, -1]
         most = np.where(values**2 < WEAK_INFORMATION, MOST_PULL, np.inf)
@@ -357,7 +357,7 @@ def posterior(
         kind of error if the prior knows two.
     count : int, optional
         Number of leading parameters whose deviations the evidence judges, those of the links.
-        All by default.
+        All by default. Those of ``prior.payloads`` are not judged.
     tolerance : float
         Change in posterior standard deviations at which weights and solution have converged.
     start : (p,) float64, optional
@@ -370,7 +370,8 @@ def posterior(
     mean = prior.mean
     count = len(mean) if count is None else count
     has_two = empirical and prior.alone is not None
-    L, share = prior.kinds_of_errors(count)
+    judged = prior.judged(count)
+    L, share = prior.kinds_of_errors(judged)
     # As few residuals as these may be the prior's errors or noise, above all at rest: if all were
     # noise, the prior would seem exact.
     is_few = observations.rows.samples <= len(observations.rows.layout.coordinates)
@@ -389,15 +390,15 @@ def posterior(
             correlation=correlation,
         )
         if empirical:
-            evidence = square.evidence(count)
+            evidence = square.evidence(judged)
             if has_two:
                 logs = evidence.two_scales(share, logs)
                 if is_few:
                     logs = np.maximum(logs, 0.0)
-                scale[:count] = np.sqrt(np.exp(2 * logs) @ (share, 1 - share))
+                scale[judged] = np.sqrt(np.exp(2 * logs) @ (share, 1 - share))
             else:
                 common = evidence.common_scale()
-                scale[:count] = max(common, 1.0) if is_few else common
+                scale[judged] = max(common, 1.0) if is_few else common
         before = x
         x, factor = square.minimum(scale)
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
@@ -416,8 +417,8 @@ def posterior(
         factor=precision,
         prior=chosen,
         covariance=square.covariance,
-        prior_scale=1.0 if empirical else square.evidence(count).common_scale(),
+        prior_scale=1.0 if empirical else square.evidence(judged).common_scale(),
         noise_share=square.noise_share(scale),
-        chosen_scale=float(np.sqrt(np.mean((chosen.std / prior.std)[:count] ** 2))),
+        chosen_scale=float(np.sqrt(np.mean((chosen.std / prior.std)[judged] ** 2))),
         is_scaled=empirical,
     )

@@ -6,10 +6,11 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import block_diag
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import PriorError
 from symbid_ros.estimation.prior_std import (
     absolute_std,
+    beyond_sensors,
     body_covariance,
     consistent_std,
     is_stated,
@@ -53,6 +54,8 @@ class Prior:
         None for independent parameters.
     assumed : tuple of str
         Parameters whose deviation is a default, because neither file nor user gives one.
+    payloads : tuple of str
+        Inertias of links beyond wrist sensors, whose deviations allow for any payload.
     alone : (p,) float64 or None
         Deviation of each number by itself, if the covariance is that of two kinds of errors of
         unknown sizes: links that are other bodies, and numbers that are wrong by themselves. None
@@ -73,6 +76,7 @@ class Prior:
     std: FloatArray
     factor: FloatArray | None = None
     assumed: tuple[str, ...] = ()
+    payloads: tuple[str, ...] = ()
     alone: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -91,19 +95,27 @@ class Prior:
         """Return the lower triangular L (p, p) with covariance L Lᵀ."""
         return np.diag(self.std) if self.factor is None else self.factor
 
-    def kinds_of_errors(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return a square root (p, p) of the covariance, and a share (count,) of its columns.
+    def judged(self, count: int) -> IntArray:
+        """Return those of the first ``count`` parameters whose deviations the data may judge.
+
+        Deviations that allow for any payload say nothing about the values of the model file.
+        """
+        return np.flatnonzero([name not in self.payloads for name in self.names[:count]])
+
+    def kinds_of_errors(self, judged: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return a square root (p, p) of the covariance, and a share (k,) of its columns.
 
         Errors along different columns are independent, whatever the sizes of the two kinds of
-        errors in the first ``count`` parameters, which do not depend on the others. The share is
+        errors in the ``judged`` parameters (k,), which do not depend on the others. The share is
         that of links that are other bodies in the column's variance.
         """
         root = self.covariance_factor()
         if self.alone is None:
-            return root, np.ones(count)
-        root, alone = root.copy(), self.alone[:count, None]
-        V, ratio, _ = np.linalg.svd(root[:count, :count] / alone)
-        root[:count, :count] = alone * V * ratio
+            return root, np.ones(len(judged))
+        root, alone = root.copy(), self.alone[judged, None]
+        own = np.ix_(judged, judged)
+        V, ratio, _ = np.linalg.svd(root[own] / alone)
+        root[own] = alone * V * ratio
         return root, 1 - np.minimum(1 / ratio**2, 1.0)
 
     def widened(self, scale: FloatArray) -> "Prior":
@@ -193,6 +205,14 @@ def _triangular(root: FloatArray) -> FloatArray:
     return factor
 
 
+def _of_model(parameters: ParameterSet, kind: str, mean: FloatArray, std: FloatArray) -> Prior:
+    names = parameters.names
+    payloads = tuple(name for own in beyond_sensors(parameters) for name in names[own])
+    terms = names[parameters.inertial :]
+    model = parameters.model.name
+    return Prior(model, kind, None, names, mean, std, assumed=terms, payloads=payloads)
+
+
 def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
     """Return a prior with the model file's values, uniform within ± ``percent`` %.
 
@@ -206,8 +226,7 @@ def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> P
     _check_amount(percent)
     mean, kind = parameters.values, f"model, percent {percent:g}"
     std = percent_std(parameters, mean, percent)
-    terms = parameters.names[parameters.inertial :]
-    return Prior(parameters.model.name, kind, None, parameters.names, mean, std, assumed=terms)
+    return _of_model(parameters, kind, mean, std)
 
 
 def consistent_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
@@ -294,8 +313,7 @@ def absolute_model_prior(parameters: ParameterSet, amount: float) -> Prior:
     _check_amount(amount)
     mean, kind = parameters.values, f"model, absolute {amount:g}"
     std = absolute_std(parameters, amount)
-    terms = parameters.names[parameters.inertial :]
-    return Prior(parameters.model.name, kind, None, parameters.names, mean, std, assumed=terms)
+    return _of_model(parameters, kind, mean, std)
 
 
 def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -> Prior:

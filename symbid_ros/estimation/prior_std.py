@@ -53,10 +53,15 @@ def _widen_beyond_sensors(std: FloatArray, parameters: ParameterSet) -> None:
     """Allow for any payload in the deviations (p,) of the links beyond wrist sensors, in place."""
     mass = SENSED_MASS * abs(parameters.values[: parameters.inertial : 10].sum())
     scale = (mass or _BARE_MASS) * SENSED_EXTENT ** np.repeat([0, 1, 2], [1, 3, 6])
-    links = parameters.links.tolist()
-    for place in parameters.model.wrist_sensors.values():
-        own = slice(10 * links.index(place.stop), 10 * links.index(place.stop) + 10)
+    for own in beyond_sensors(parameters):
         std[own] = np.maximum(std[own], scale)
+
+
+def beyond_sensors(parameters: ParameterSet) -> tuple[slice, ...]:
+    """Return the parameters of the first link beyond each wrist sensor."""
+    links = parameters.links.tolist()
+    firsts = [10 * links.index(place.stop) for place in parameters.model.wrist_sensors.values()]
+    return tuple(slice(first, first + 10) for first in firsts)
 
 
 def consistent_std(root: FloatArray, half_width: float) -> FloatArray:

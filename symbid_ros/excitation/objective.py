@@ -15,15 +15,15 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.regressor import by_kind, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import without_contacts
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
-# Coulomb friction changes its sign over this speed, rad/s or m/s: smooth for the optimiser. Slower
-# rows are discarded in an identification, as the joint may stick.
-SMOOTH_SPEED = 0.1
+# Coulomb friction changes its sign over this speed, rad/s, m/s of prismatic joints: smooth for the
+# optimiser. Slower rows are discarded in an identification, as the joint may stick.
+SMOOTH_SPEED = 0.1, 0.01
 ROUNDING = 1e-14
 STEP = 1e-4  # rad or m, and per second, of central differences; their error is below 1e-7
 ACCELERATION_STEP = 1e-2  # rad/s² or m/s², of forward differences; K is linear in it
@@ -144,7 +144,7 @@ class ExpectedInformation:
         own, first = self.parameters.joints, 6 * self.joints.model.floating
         factors = {
             "viscous": samples.velocity,
-            "coulomb": np.tanh(samples.velocity / SMOOTH_SPEED),
+            "coulomb": np.tanh(samples.velocity / by_kind(SMOOTH_SPEED, self.joints.model.joints)),
             "armature": samples.acceleration,
             "offset": np.ones_like(samples.velocity),
         }

@@ -171,7 +171,12 @@ def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:
             links[: bare.inertial] = phi[: bare.inertial]
             needed = (rows.K @ links - rows.y)[:, first:]
             velocity = samples.velocity
-            columns = [needed, velocity, coulomb_column(velocity), np.ones_like(needed)]
+            columns = [
+                needed,
+                velocity,
+                coulomb_column(velocity, bare.model.joints),
+                np.ones_like(needed),
+            ]
             valid: BoolArray = np.isfinite(measured)
             for payload in bare.payloads:
                 if payload.frame is not None:  # the torque that it needs is not known yet

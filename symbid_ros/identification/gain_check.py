@@ -1,7 +1,8 @@
-"""Finds efforts of an arm that have wrong factors, such as those of torque constants.
+"""Finds efforts and wrist sensors of an arm with wrong factors, such as those of torque constants.
 
 Links follow such errors in part: residuals stay small, and masses come out far off. With a factor
-on each effort as a further unknown, both fit.
+on each effort as a further unknown, both fit. The readings of a wrist sensor are efforts too; they
+have one factor in common, relative to the efforts of the joints.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,6 +21,7 @@ from symbid_ros.identification.drive_gains import named_joints
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.report_data import ForceSeries
 from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.model.wrist_sensors import component_names
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN, SensorErrors
 
@@ -34,6 +36,8 @@ LEAST_PART = 1 / 3
 # A factor is named if it differs from the usual one by these, in deviations and as a share. Units
 # differ by more than the largest ratio; the checks of the log find them.
 CERTAIN, RELEVANT, LARGEST = 3.0, 0.05, 3.0
+# Correlation of the factors of a sensor's components, which have one calibration.
+ALIKE = 0.99
 
 
 class Trial(NamedTuple):
@@ -136,21 +140,62 @@ def _is_candidate(problem: LoadedProblem) -> bool:
 
 def _square(solver: Solver) -> float:
     """Return the mean square of the factors' errors, in deviations, about an estimate."""
+    joints = named_joints(("all",), solver.problem.parameters.model)
+    factors, covariance = _factors_beside(solver, joints, np.eye(len(joints)))
+    error = factors - 1
+    return float(error @ np.linalg.solve(covariance, error)) / len(error)
+
+
+def _factors_beside(
+    solver: Solver, joints: tuple[str, ...], correlation: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return factors (k,) of joints' efforts beside the other unknowns, and their covariance.
+
+    ``correlation`` (k, k) is that of their prior.
+    """
     problem, phi = solver.problem, solver.posterior.mean
-    parameters, joints = problem.parameters, named_joints(("all",), problem.parameters.model)
+    parameters = problem.parameters
     errors = SensorErrors.of((DRIVE_GAIN,), parameters.model, (), (), joints)
     rows = EffortColumns(error_layout(parameters, errors), len(joints)).beside(solver.chosen, phi)
     ones = np.ones(len(joints))
-    prior = solver.posterior.prior.extended(errors.names, ones, PLAUSIBLE * ones)
+    root = PLAUSIBLE * np.linalg.cholesky(correlation).astype(np.float64)
+    prior = solver.posterior.prior.extended(errors.names, ones, PLAUSIBLE * ones, root)
     wide = replace(
         problem, prior=prior, is_empirical=False, pseudo_measurements=None, term_deviations=None
     )
     found = Solver.approximate(
         wide, rows, np.append(phi, ones), is_coupled=solver.chosen.is_coupled
     ).posterior
-    covariance = found.deviation_factor[len(phi) :] @ found.deviation_factor[len(phi) :].T
-    error = found.mean[len(phi) :] - 1
-    return float(error @ np.linalg.solve(covariance, error)) / len(error)
+    factor = found.deviation_factor[len(phi) :]
+    return found.mean[len(phi) :], factor @ factor.T
+
+
+def wrist_sensor_alarms(problem: LoadedProblem) -> tuple[str, ...]:
+    """Return an alarm for each wrist sensor whose gain contradicts the efforts of an arm.
+
+    The efforts of the joints before the sensor feel what lies beyond it too.
+    """
+    solver, parameters = problem.solver, problem.parameters
+    model = parameters.model
+    is_checked = not (model.floating or model.contacts or parameters.payloads)
+    if not is_checked or solver.problem.calibrated_rows is not None:
+        return ()
+    found = []
+    for frame in model.wrist_sensors:
+        names = component_names(frame)
+        alike = np.full((len(names), len(names)), ALIKE)
+        np.fill_diagonal(alike, 1.0)
+        factors, covariance = _factors_beside(solver, names, alike)
+        weights = np.linalg.solve(covariance, np.ones(len(names)))
+        factor, std = float(weights @ factors / weights.sum()), float(weights.sum() ** -0.5)
+        if factor > 0 and abs(np.log(factor)) > max(CERTAIN * std / factor, RELEVANT):
+            found.append(
+                f"the wrench at {frame} reads {1 / factor:.3g} ± {std / factor**2:.1g} times what "
+                f"the efforts of the joints imply, so the mass beyond {frame} is wrong, or those "
+                "of the arm are: check the sensor's gain and unit, torque constants and gear "
+                "ratios, or compare both with a known load"
+            )
+    return tuple(found)
 
 
 def _factors(solver: Solver) -> dict[str, float]:

@@ -26,7 +26,7 @@ from symbid_ros.choices import SLIDING_TERMS, Term
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.passive_drives import contradicts_signs
 from symbid_ros.estimation.posterior import Posterior, posterior
-from symbid_ros.estimation.term_evidence import CandidateTerms, cross_validated
+from symbid_ros.estimation.term_evidence import FRICTION, CandidateTerms, cross_validated
 from symbid_ros.estimation.term_sets import TermSets
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.term_priors import fixed_prior
@@ -36,6 +36,7 @@ from symbid_ros.identification.term_remarks import (
     joints_without_rows,
     replaceable_terms,
     resting_joints,
+    resting_remarks,
 )
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison
 from symbid_ros.model.coupling import Coupling
@@ -196,6 +197,12 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
             _Selection.of(problem, everything & ~slipping, stated, previous, slips=False)
         )
     last = selections[-1]
+    slipping_rows = problem.observations[0].slipping
+    if slips and parameters.model.contacts is None:
+        slipping_rows = last.rows
+    slow = resting_joints(slipping_rows, parameters) & measured
+    if slips and parameters.model.contacts is None:
+        last = last.with_friction_of(slow)
     free, signed = last.free, last.has_signed_drives()
     if signed and "armature" in parameters.terms:
         # What lowers the inertia that efforts show acts on all joints alike.
@@ -208,7 +215,7 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
         measured,
         (
             *unmeasured,
-            *resting_joints(problem.observations, parameters),
+            *resting_remarks(slipping_rows, parameters, slow, slips=slips),
             *replaceable_terms(parameters, free),
             *inseparable_terms(selections[0].inseparable, parameters, free),
             *([SIGNED_DRIVES] if signed else []),
@@ -281,6 +288,17 @@ class _Selection:
     def deviations(self) -> FloatArray:
         """Return N (p + s, k) of all unknowns, due to other sets that explain the data as well."""
         return self.sets.deviations(np.flatnonzero(self.free))
+
+    def with_friction_of(self, slow: BoolArray) -> "_Selection":
+        """Return the selection with free friction of slow joints (d,), which lack rows to judge it.
+
+        If fixed, it would seem to be zero without any uncertainty.
+        """
+        free, columns = self.free.copy(), self.parameters.term_columns
+        for term in FRICTION:
+            if term in columns:
+                free[columns[term]] |= slow
+        return replace(self, free=free)
 
     def has_signed_drives(self) -> bool:
         """Return whether the data contradict positive armature and friction."""

@@ -460,7 +460,8 @@ class _Builder:
         if not isinstance(build, CalibratingRows):
             # Columns of measured efforts would explain their own residuals: see ``effects``.
             left_out = {"torque_gain"}
-            if not (segment.wrench_frames or segment.imu_frames):
+            others = segment.wrench_frames or segment.imu_frames or parameters.model.wrist_sensors
+            if not others:
                 left_out.add("sensor_delay")
             kinds = [kind for kind in SENSOR_ERROR_KINDS if kind not in left_out]
             errors = SensorErrors.of(
@@ -503,7 +504,7 @@ class _Builder:
         """Return (N, J, k) the columns of ``effects``, and the speed."""
         velocity, joints = readings.velocity, self.parameters.model.joints
         effort = np.nan_to_num(effort)  # joints whose effort was not measured have no rows
-        slips = coulomb_column(velocity)
+        slips = coulomb_column(velocity, joints)
         rate = np.zeros_like(effort)
         if len(readings) > 1:
             rate = np.gradient(effort, float(np.diff(readings.stamp).mean()) * 1e-9, axis=0)

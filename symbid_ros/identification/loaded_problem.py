@@ -131,8 +131,13 @@ class LoadedProblem:
         """Identify with one method, by default that of the options."""
         found = self._solve(method or self.options.method)
         options = self.options
+        first = next(iter(self.dataset.segments), None)
         settings = RowSettings(
-            options.row_filter, found.window or options.window, options.cutoff, options.channels
+            options.row_filter,
+            found.window or options.window,
+            options.cutoff,
+            options.channels,
+            None if first is None else first.rate,
         )
         estimate = replace(found.estimate, rows=settings)
         count = self.parameters.inertial

@@ -58,6 +58,8 @@ class PredictionRows:
         Measured motor efforts; zero on a floating base.
     gravity : (N, n) float64
         Forces that hold the identified links still.
+    noise : (n,) float64 or None
+        Variance of a row's residual, (Nm)² or N²; None if it is unknown.
     """
 
     stamp: IntArray
@@ -65,6 +67,7 @@ class PredictionRows:
     valid: BoolArray
     effort: FloatArray
     gravity: FloatArray
+    noise: FloatArray | None
 
 
 @dataclass(frozen=True)
@@ -254,7 +257,24 @@ class ForcePredictor:
             beside = windowed_rows(segment, correct, windows, ())
             for (rows,), (other,) in zip(main, beside, strict=True):
                 effort, gravity = np.moveaxis(other.mean.K, 2, 0)
-                yield PredictionRows(rows.stamp, rows.mean, rows.valid, effort, gravity)
+                noise = self._noise_at(segment.rate)
+                yield PredictionRows(rows.stamp, rows.mean, rows.valid, effort, gravity, noise)
+
+    def _noise_at(self, rate: float) -> FloatArray | None:
+        """Return the variance (n,) of a row's residual in a log of another rate, Hz.
+
+        That of averaged white noise falls with the number of samples, and what the model does not
+        explain remains.
+        """
+        if self.noise is None or not self.settings.rate or self.estimate.verdict is None:
+            return self.noise
+        sizes = {one.coordinate: one.size for one in self.estimate.verdict.unexplained}
+        lasting = [sizes.get(name, 0.0) ** 2 for name in self.parameters.model.coordinates]
+        remains = np.minimum(lasting, self.noise)
+        known = np.isfinite(self.noise)
+        noise = self.noise.copy()
+        noise[known] = remains[known] + (self.noise - remains)[known] * self.settings.rate / rate
+        return noise
 
     def _filtered_rows(
         self, segments: tuple[Segment, ...], source: str
@@ -272,7 +292,9 @@ class ForcePredictor:
         for block in samples.blocks(SAMPLES_AT_ONCE):
             single = sampled_rows(self.parameters, block)
             effort, gravity = np.moveaxis(self._effort_and_gravity(block, self.parameters), 2, 0)
-            yield PredictionRows(single.stamp, single.rows, single.valid, effort, gravity)
+            yield PredictionRows(
+                single.stamp, single.rows, single.valid, effort, gravity, self.noise
+            )
 
     def _builders(self, segment: Segment, source: str) -> tuple[RowBuilder, RowBuilder]:
         """Return builders of rows in the unknowns, and of columns of effort and gravity."""

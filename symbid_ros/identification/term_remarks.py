@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray
+from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.regressor import COULOMB_SPEED, equation_of_motion
 from symbid_ros.estimation.information import random_motions
 from symbid_ros.estimation.observations import Observations
@@ -17,35 +17,52 @@ FEWEST_SLIPPING = 25
 REPLACED = 1e-8
 
 
-def resting_joints(
-    observations: Sequence[Observations], parameters: ParameterSet
+def resting_joints(slipping: Observations | None, parameters: ParameterSet) -> BoolArray:
+    """Return which driven joints (d,) have too few rows in which they slip to judge friction."""
+    if slipping is None:
+        return np.zeros(len(parameters.joints), dtype=bool)
+    rows = 6 * parameters.model.floating + parameters.joints
+    is_driven = ~np.isin(parameters.joints, list(parameters.model.followers))
+    few = slipping.counts.diagonal()[rows] < _needed_rows(slipping, parameters)
+    return np.asarray(is_driven & few)
+
+
+def _needed_rows(slipping: Observations, parameters: ParameterSet) -> FloatArray:
+    """Return the rows (d,) of each joint without which its friction cannot be judged."""
+    rows = 6 * parameters.model.floating + parameters.joints
+    return np.maximum(slipping.needed_rows[rows], FEWEST_SLIPPING)
+
+
+def resting_remarks(
+    slipping: Observations | None, parameters: ParameterSet, resting: BoolArray, *, slips: bool
 ) -> tuple[str, ...]:
-    """Return a sentence about the joints whose friction cannot be judged."""
-    slipping = observations[0].slipping
+    """Return a sentence about the joints (d,) whose friction cannot be judged, for each unit.
+
+    ``slips`` tells whether only rows of slipping joints are used.
+    """
     if slipping is None:
         return ()
-    first = 6 * parameters.model.floating
-    rows = slipping.counts.diagonal()[first:]
-    measured = observations[0].counts.diagonal()[first:] > 0
-    own = [
-        parameters.model.joint_names[index]
-        for index in parameters.joints
-        if measured[index]
-        and rows[index] < FEWEST_SLIPPING
-        and index not in parameters.model.followers
-    ]
-    if not own:
-        return ()
-    seconds = FEWEST_SLIPPING * observations[0].window / 2
-    if parameters.model.contacts is not None:  # a row contains the friction of several joints
-        return (
-            f"{', '.join(own)}: less than {seconds:.2g} s of usable rows in which all joints of a "
-            f"row move faster than {COULOMB_SPEED:g} rad/s, too little to judge friction",
+    model, remarks = parameters.model, []
+    needed = _needed_rows(slipping, parameters) * slipping.window / 2
+    for unit, is_slide in (("rad/s", False), ("m/s", True)):
+        kinds = [model.joints[joint].kind == "prismatic" for joint in parameters.joints]
+        own = resting & (np.array(kinds, dtype=bool) == is_slide)
+        if not own.any():
+            continue
+        names = ", ".join(model.joint_names[joint] for joint in parameters.joints[own])
+        seconds, speed = needed[own].max(), COULOMB_SPEED[is_slide]
+        if model.contacts is not None:  # a row contains the friction of several joints
+            remarks.append(
+                f"{names}: less than {seconds:.2g} s of usable rows in which all joints of a row "
+                f"move faster than {speed:g} {unit}, too little to judge friction"
+            )
+            continue
+        left_out = "; rows of slower motion are left out" if slips else ""
+        remarks.append(
+            f"{names}: moved faster than {speed:g} {unit} for less than {seconds:.2g} s, too "
+            f"little to judge friction{left_out}"
         )
-    return (
-        f"{', '.join(own)}: moved faster than {COULOMB_SPEED:g} rad/s for less than "
-        f"{seconds:.2g} s, too little to judge friction",
-    )
+    return tuple(remarks)
 
 
 def joints_without_rows(observations: Observations, parameters: ParameterSet) -> tuple[str, ...]:

@@ -120,7 +120,8 @@ class Validation:
         None for a fixed base.
     coverage : float or None
         Share of errors inside their 90 % interval; None for methods without covariance. The
-        variance is that of the estimate plus that of the residuals of the identified log.
+        variance is that of the estimate plus that of the residuals of the identified log, whose
+        noise is scaled to the rate of this one.
     normalized_square : float or None
         Mean of squared errors over their predicted variance; about 1 for right intervals.
     advice : {"better", "equal", "worse", "mixed", "unfit"}

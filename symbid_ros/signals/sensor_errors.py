@@ -1,7 +1,7 @@
 """Calibration errors of the sensors as unknowns of the equation of motion."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -83,6 +83,8 @@ class SensorErrors:
         Joints whose efforts have an unknown unit: torque = factor × effort.
     payloads : tuple of str
         Names of the payloads whose places are unknown.
+    wrist_sensors : mapping of str to slice
+        Indices of the joints of each wrist sensor, by its frame.
     """
 
     kinds: tuple[str, ...]
@@ -92,6 +94,7 @@ class SensorErrors:
     driven: BoolArray
     gained: tuple[str, ...] = ()
     payloads: tuple[str, ...] = ()
+    wrist_sensors: Mapping[str, slice] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -113,6 +116,7 @@ class SensorErrors:
             np.array([joint.effort > 0 for joint in model.joints], dtype=bool),
             gained,
             payloads,
+            model.wrist_sensors,
         )
 
     def _owners(self, kind: str) -> tuple[str, ...]:
@@ -122,7 +126,7 @@ class SensorErrors:
             return self.imu_frames
         if kind == DELAY:
             efforts = (EFFORTS,) if self.driven.any() else ()
-            return (*self.imu_frames, *self.wrench_frames, *efforts)
+            return (*self.imu_frames, *self.wrench_frames, *self.wrist_sensors, *efforts)
         if kind == FRAME:
             return (*self.wrench_frames, *self.imu_frames)
         if kind == "torque_gain":
@@ -220,6 +224,10 @@ class SensorErrors:
                 elif kind == DELAY and owner == EFFORTS:
                     affects[:, columns] = False
                     affects[first + np.flatnonzero(self.driven), columns] = True
+                elif kind == DELAY and owner in self.wrist_sensors:
+                    own = self.wrist_sensors[owner]
+                    affects[:, columns] = False
+                    affects[first + own.start : first + own.stop, columns] = True
         return affects
 
     def placed(self, parameters: ParameterSet, theta: FloatArray) -> ParameterSet:
@@ -288,9 +296,14 @@ class SensorErrors:
         realigned = replace(
             readings, wrenches=moved(readings.wrenches, delays[imus : imus + wrenches])
         )
-        if self.driven.any():
-            effort = advanced(readings.effort, readings.stamp, float(delays[-1]))
-            realigned = replace(realigned, effort=effort)
+        # The readings of a wrist sensor are the efforts of its joints.
+        late = np.full(len(self.joints), delays[-1] if self.driven.any() else 0.0)
+        for delay, own in zip(delays[imus + wrenches :], self.wrist_sensors.values(), strict=False):
+            late[own] = delay
+        effort = readings.effort.copy()
+        for one in np.unique(late).tolist():
+            effort[:, late == one] = advanced(effort[:, late == one], readings.stamp, one)
+        realigned = replace(realigned, effort=effort)
         if not imus:
             return realigned
         return replace(

@@ -201,7 +201,7 @@ def with_filtered_friction(
         position, velocity = samples.position, samples.velocity
     return replace(
         samples,
-        sliding=low_pass(coulomb_column(velocity)),
+        sliding=low_pass(coulomb_column(velocity, model.joints)),
         friction_state=low_pass(friction_state(position, model.joints)),
     )
 

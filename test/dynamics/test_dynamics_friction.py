@@ -14,6 +14,7 @@ from symbid_ros.dynamics.regressor import (
     COULOMB_RAMP,
     COULOMB_SPEED,
     PRESLIDING_TRAVEL,
+    by_kind,
     coulomb_column,
     equation_of_motion,
     friction_state,
@@ -27,6 +28,8 @@ from symbid_ros.model.parameters import ParameterSet
 
 # Without Stribeck friction, which neither a model file nor MuJoCo has.
 TERMS = ALL_TERMS[:4]
+
+JOINT = random_robot(1).joints[0]
 
 DRY = mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
 
@@ -139,8 +142,8 @@ def test_a_sticking_joint_has_less_than_its_coulomb_friction(robot):
     assert stuck.mean() > 0.25
     # Static friction takes any value between the bounds, so these rows are left out.
     assert share[stuck].std() > 0.25
-    assert not is_slipping(samples.velocity).any()
-    assert not coulomb_column(samples.velocity).any()
+    assert not is_slipping(samples.velocity, robot.joints).any()
+    assert not coulomb_column(samples.velocity, robot.joints).any()
 
 
 def test_each_joint_term_is_only_in_its_joints_row(robot):
@@ -157,15 +160,18 @@ def test_each_joint_term_is_only_in_its_joints_row(robot):
 speeds = st.floats(-1e3, 1e3, allow_nan=False)
 
 
-@given(speeds)
-def test_the_coulomb_column_is_the_sign_of_a_joint_that_slips(speed):
-    column, slipping = coulomb_column(np.array([[speed]])), is_slipping(np.array([[speed]]))
-    assert slipping == (abs(speed) >= COULOMB_SPEED)
-    if abs(speed) >= COULOMB_RAMP:
+@given(speeds, st.sampled_from(["revolute", "prismatic"]))
+def test_the_coulomb_column_is_the_sign_of_a_joint_that_slips(speed, kind):
+    joints = [replace(JOINT, kind=kind)]
+    velocity = np.array([[speed]])
+    column, slipping = coulomb_column(velocity, joints), is_slipping(velocity, joints)
+    ramp = by_kind(COULOMB_RAMP, joints)[0]
+    assert slipping == (abs(speed) >= by_kind(COULOMB_SPEED, joints)[0])
+    if abs(speed) >= ramp:
         assert column == np.sign(speed)
     else:
-        assert column == pytest.approx(speed / COULOMB_RAMP)
-    assert coulomb_column(np.array([[-speed]])) == -column
+        assert column == pytest.approx(speed / ramp)
+    assert coulomb_column(-velocity, joints) == -column
 
 
 @pytest.mark.parametrize("count", [2, 3, 500])
@@ -196,6 +202,6 @@ def test_presliding_needs_no_memory_while_a_joint_accelerates_constantly():
     remembered = presliding_column(replace(samples, friction_state=state), joints)
     np.testing.assert_allclose(presliding_column(samples, joints), remembered, atol=5e-3)
     # Friction lags behind a reversal only.
-    before = time[:, 0] < -COULOMB_SPEED / acceleration.min()
+    before = time[:, 0] < -np.max(by_kind(COULOMB_SPEED, joints) / acceleration)
     np.testing.assert_allclose(remembered[before], 0, atol=1e-12)
     assert remembered.min() < -0.9

@@ -217,7 +217,7 @@ def test_symbitron_has_the_thesis_base_parameters(terms, rank):
 def test_joint_columns_are_eq_2_49_with_armature_and_offset():
     model = load_model(CONFIG / "symbitron.urdf")
     samples = random_samples(model, 5, np.random.default_rng(5), ())
-    assert np.all(is_slipping(samples.velocity))
+    assert np.all(is_slipping(samples.velocity, model.joints))
     parameters = ParameterSet(model, TERMS)
     values = np.arange(10.0) + 20 * np.arange(6)[:, None]
     viscous, coulomb, armature, offset, stribeck, stiffness = values
@@ -242,7 +242,7 @@ def test_load_friction_is_in_proportion_to_the_effort_without_friction(floating)
     K = equation_of_motion(parameters, samples).K
     joints = np.arange(len(model.joints))
     columns = K[:, 6 * floating + joints, parameters.term_columns["load"].start + joints]
-    slips = is_slipping(samples.velocity)
+    slips = is_slipping(samples.velocity, model.joints)
     expected = np.abs(effort) * np.sign(samples.velocity)
     np.testing.assert_allclose(columns[slips], expected[slips], rtol=1e-9)
 

@@ -46,7 +46,7 @@ ESTIMATE = Estimate(
     software="symbid_ros 0.1",
     verdict=VERDICT,
     known={"knee/coulomb": 0.75},
-    rows=RowSettings("weak", window=0.161),
+    rows=RowSettings("weak", window=0.161, rate=250.0),
     holdout=HoldOut(12.0, 9.4, 1.2, "better", 0.5, {"knee": (0.5, 0.1)}, "9.4 % → 1.2 %"),
     provenance=Provenance(
         inputs=(InputFile("bag/bag_0.mcap", "ab" * 32, 12), InputFile("gone.urdf", None, None)),

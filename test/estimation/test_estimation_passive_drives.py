@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_robots import random_robot
 
-from symbid_ros.dynamics.regressor import COULOMB_SPEED, coulomb_column, stribeck_column
+from symbid_ros.dynamics.regressor import COULOMB_SPEED, by_kind, coulomb_column, stribeck_column
 from symbid_ros.estimation.passive_drives import (
     FASTEST,
     breakaway_bounds,
@@ -55,9 +55,9 @@ def test_friction_is_not_negative_when_a_joint_begins_to_slip(coulomb, stribeck)
     values = np.zeros(len(ROBOT))
     values[ROBOT.term_columns["coulomb"]] = coulomb
     values[ROBOT.term_columns["stribeck"]] = stribeck
-    slow = np.full((1, len(ROBOT.joints)), COULOMB_SPEED)
     joints = [ROBOT.model.joints[joint] for joint in ROBOT.joints]
-    friction = coulomb_column(slow) * coulomb + stribeck_column(slow, joints) * stribeck
+    slow = by_kind(COULOMB_SPEED, joints)[None]
+    friction = coulomb_column(slow, joints) * coulomb + stribeck_column(slow, joints) * stribeck
     bounds = breakaway_bounds(ROBOT)
     np.testing.assert_allclose(bounds.matrix @ values, friction[0], atol=1e-12)
     assert (bounds.lower == 0).all()

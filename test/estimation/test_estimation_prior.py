@@ -111,7 +111,7 @@ def test_the_default_prior_expects_both_kinds_of_wrong_files(symbitron, kind):
 def test_errors_along_the_columns_are_independent_whatever_the_size_of_each_kind(symbitron):
     extended = default_prior(symbitron, 25).extended(("x/gain",), np.ones(1), np.full(1, 0.1))
     count = symbitron.inertial
-    root, share = extended.kinds_of_errors(count)
+    root, share = extended.kinds_of_errors(extended.judged(count))
     alone = np.diag(extended.alone[:count] ** 2)
     bodies = consistent_prior(symbitron, 25).factor[:count, :count]
     scale = np.sqrt(np.diag(extended.factor @ extended.factor.T))[:count]

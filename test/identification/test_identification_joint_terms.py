@@ -132,10 +132,11 @@ def test_logs_with_different_choices_are_merged():
     still = np.arange(len(robot.joints)) > 0
     first = sy.identify(robot, log_of(robot, truth, moving=still), unchecked=True)
     second = sy.identify(robot, log_of(robot, truth, seed=1), unchecked=True)
-    assert first.estimate.joint_terms != second.estimate.joint_terms
     both = sy.identify(robot, sy.merge([first.information, second.information]))
-    joint = robot.joint_names[0]
-    assert {"viscous", "coulomb"} <= set(both.estimate.joint_terms[joint])
+    for term in ("viscous", "coulomb"):
+        name = f"{robot.joint_names[0]}/{term}"
+        assert not first.parameters[name].is_determined
+        assert both.parameters[name].is_determined
 
 
 def test_a_resting_joint_is_named():
@@ -146,7 +147,10 @@ def test_a_resting_joint_is_named():
     assert any(
         one.startswith(f"{robot.joint_names[0]}: moved faster") for one in result.estimate.remarks
     )
-    assert not set(result.estimate.joint_terms[robot.joint_names[0]]) & {"viscous", "coulomb"}
+    for term in ("viscous", "coulomb"):
+        found = result.parameters[f"{robot.joint_names[0]}/{term}"]
+        assert found.std > 0.1
+        assert not found.is_determined
 
 
 def test_armature_of_the_first_joint_is_named_as_inseparable():
@@ -342,6 +346,42 @@ def test_terms_that_a_model_file_cannot_hold_are_named(tmp_path, caplog):
     result = sy.identify(robot, log_of(robot, drives(robot), offset=0.7), unchecked=True)
     result.save(tmp_path / "out")
     assert "only estimate.json holds offset; efforts" in caplog.text
+
+
+def slow_joint(kind, share):
+    """Return a log of an arm with friction whose last joint moves little, and its result."""
+    robot = arm()
+    joints = (*robot.joints[:-1], replace(robot.joints[-1], kind=kind))
+    robot = replace(robot, joints=joints)
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    moving = np.append(np.ones(len(joints) - 1), share)
+    log = log_of(robot, truth, moving=moving)
+    return log, sy.identify(robot, log, unchecked=True, no_holdout=True)
+
+
+def test_a_gripper_that_moves_by_millimetres_has_friction():
+    log, result = slow_joint("prismatic", 0.02)
+    position = log.streams().joints.position[:, -1]
+    assert np.std(np.gradient(position, 1 / RATE)) < 0.02
+    last = result.robot.joint_names[-1]
+    for term, value in (("viscous", 0.4), ("coulomb", 0.8)):
+        found = result.parameters[f"{last}/{term}"]
+        assert abs(found.value - value) < 5 * found.std
+    assert result.parameters[f"{last}/coulomb"].is_determined
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_friction_of_a_joint_that_is_too_slow_is_unknown(kind):
+    _, result = slow_joint(kind, 1e-3)
+    last = result.robot.joint_names[-1]
+    speed = {"revolute": "0.02 rad/s", "prismatic": "0.002 m/s"}[kind]
+    remark = next(one for one in result.estimate.remarks if one.startswith(last))
+    assert f"moved faster than {speed} for less than" in remark
+    assert "slower motion are left out" in remark
+    for term, value in (("viscous", 0.4), ("coulomb", 0.8)):
+        found = result.parameters[f"{last}/{term}"]
+        assert not found.is_determined
+        assert abs(found.value - value) < 5 * found.std
 
 
 def test_friction_of_the_model_file_leaves_out_joints_that_rest():

@@ -9,7 +9,7 @@ import pinocchio
 import pytest
 from tree_simulation import TreeSimulation
 
-from symbid_ros.dynamics.regressor import COULOMB_SPEED
+from symbid_ros.dynamics.regressor import is_slipping
 from symbid_ros.identification.evaluation import evaluate, predict, sticking_share
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.realistic_prediction import RealisticMotion, predict_realistic
@@ -64,7 +64,7 @@ def test_the_truth_errs_by_nothing_because_sticking_joints_do_not_count(arm) -> 
     parameters = ParameterSet(robot, ("viscous", "coulomb"))
     truth = parameters.values
     true = motion.samples.effort
-    sticks = np.abs(motion.samples.velocity) < COULOMB_SPEED
+    sticks = ~is_slipping(motion.samples.velocity, robot.joints)
     assert sticking_share(parameters, truth, motion) == pytest.approx(sticks.mean())
     assert 0 < sticks.mean() < 0.5
     metrics = evaluate(parameters, {"it": truth}, truth, motion)["it"]
@@ -102,7 +102,7 @@ def test_friction_of_the_model_file_is_used_and_kept(arm, rows, tmp_path, caplog
     )
     parameters = estimated.parameters
     metrics = evaluate(parameters, {"it": estimated.values}, parameters.values, motion)["it"]
-    obeys = np.abs(motion.samples.velocity) >= COULOMB_SPEED
+    obeys = is_slipping(motion.samples.velocity, robot.joints)
     counted = ((force - true) * obeys)[obeys.any(axis=1)]
     assert metrics.torque_rmse == pytest.approx(rms(counted))
     realistic = predict_realistic(

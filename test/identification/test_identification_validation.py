@@ -28,8 +28,8 @@ TRAINING, HELD_OUT = 3, 4  # seeds of motions
 START = 100_000_000_000
 
 
-def log_of(robot, seed, *, count=3000, noise=1.0, start=0):
-    streams = random_streams(robot, LogPlan(250.0, count, start=start, noise=noise), seed)
+def log_of(robot, seed, *, count=3000, noise=1.0, start=0, rate=250.0):
+    streams = random_streams(robot, LogPlan(rate, count, start=start, noise=noise), seed)
     return sy.Log.from_streams(streams)
 
 
@@ -119,6 +119,18 @@ def test_an_identified_model_is_recommended(found) -> None:
 def test_intervals_hold_the_share_of_errors_that_they_claim(found) -> None:
     assert found.coverage == pytest.approx(0.9, abs=0.06)
     assert found.normalized_square == pytest.approx(1.0, abs=0.3)
+
+
+@pytest.mark.parametrize("rate", [250.0, 1000.0])
+def test_intervals_hold_for_logs_of_another_rate(arm, rate, tmp_path):
+    """The noise of averages falls with the number of samples in a window."""
+    result = identify(arm.wrong, log_of(arm.robot, TRAINING, count=round(12 * rate), rate=rate))
+    result.save(tmp_path / "result")
+    other = 1250.0 - rate
+    log = log_of(arm.robot, HELD_OUT, count=round(12 * other), rate=other, start=START)
+    found = sy.validate(tmp_path / "result", log)
+    assert found.coverage == pytest.approx(0.9, abs=0.08)
+    assert 0.6 < found.normalized_square < 1.6
 
 
 def test_a_log_that_was_used_is_named(arm) -> None:

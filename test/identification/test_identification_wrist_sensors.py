@@ -1,6 +1,7 @@
 """A payload behind a wrist sensor is identified together with the arm and the sensor's offset."""
 
 import logging
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +9,10 @@ import pytest
 from documented_robots import ur5_urdf
 from payload_arm import COM, INERTIA, MASS, OFFSET, payload_arm_log
 
+from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.api import identify
+from symbid_ros.identification.api import diagnose, identify
 from symbid_ros.identification.validation import validate
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -101,10 +103,53 @@ def test_a_sensor_that_is_not_named_is_recognised(arm, measured, caplog):
 def test_without_any_effort_the_payload_is_still_found(arm, measured):
     silent = replace(measured, effort=np.full_like(measured.effort, np.nan))
     log = log_of(arm, silent, measured.wrench)
-    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST, unchecked=True)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
     assert_payload(found, FRAME)
     assert not any(one.is_determined for name, one in found.parameters.items() if "arm" in name)
+    # What a payload tells about its own prior is nothing about the links of the model file.
+    assert found.estimate.verdict.prior_scale == pytest.approx(1, abs=0.01)
+    mass = found.parameters["forearm_link/m"]
+    assert mass.std > 0.14 * mass.value
     assert validate(found, log).percent_after < 2
+
+
+def test_a_sensor_whose_gain_contradicts_the_efforts_raises_an_alarm(arm, measured):
+    for gain in (0.85, 1.15):
+        log = log_of(arm, measured, gain * measured.wrench)
+        found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
+        (alarm,) = (one for one in found.alarms if one.startswith("the wrench at tool0 reads"))
+        said = re.search(r"reads ([0-9.]+) ± ([0-9.]+) times", alarm)
+        value, std = map(float, said.groups())
+        assert abs(value - gain) < 3 * std < 0.15
+
+
+def late_log(arm, measured, late):
+    """Return the log of a sensor whose wrenches come ``late`` samples after the motion."""
+    return log_of(arm, measured, np.roll(measured.wrench, late, axis=0))
+
+
+def test_a_late_sensor_is_found_and_named(arm, measured):
+    period = measured.time[1] - measured.time[0]
+    late = max(1, round(0.008 / period))
+    log = late_log(arm, measured, late)
+    (finding,) = diagnose(arm, log, wrist_sensor=(FRAME,)).findings
+    assert finding.kind is Kind.DELAY
+    assert finding.figures["delay_ms"] == pytest.approx(1e3 * late * period, abs=0.3)
+    assert not diagnose(arm, late_log(arm, measured, 0), wrist_sensor=(FRAME,)).findings
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST | {"window": None})
+    assert any("likely cause: delays of sensors, mostly of tool0" in one for one in found.alarms)
+
+
+def test_the_delay_of_a_sensor_is_estimated(arm, measured):
+    period = measured.time[1] - measured.time[0]
+    late = max(1, round(0.008 / period))
+    log = late_log(arm, measured, late)
+    options = FAST | {"sensor_errors": ("sensor_delay",)}
+    found = identify(arm, log, wrist_sensor=(FRAME,), **options)
+    assert_payload(found, FRAME)
+    errors = {one.name: one.value for one in found.estimate.verdict.sensors}
+    assert errors[f"{FRAME}/sensor_delay"] == pytest.approx(late * period, abs=3e-4)
+    assert errors["efforts/sensor_delay"] == pytest.approx(0, abs=3e-4)
 
 
 def test_a_saved_result_predicts_the_sensor_and_merges(arm, measured, tmp_path):
