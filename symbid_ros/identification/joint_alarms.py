@@ -23,16 +23,18 @@ OPPOSED = -0.3
 def with_joint_alarms(problem: LoadedProblem, found: Identification) -> Identification:
     """Return an identification with alarms about single joints.
 
-    They are about joints that move and whose effort is not predicted at all. If there is any alarm,
-    the log of a fixed base is searched for joints that it exchanges or reverses.
+    They are about joints of a fixed base that move and whose effort is not predicted at all. If
+    there is any alarm, the log is searched for joints that it exchanges or reverses.
     """
     verdict = found.estimate.verdict
     if verdict is None:
         return found
     model = problem.solver.problem.parameters.model
+    if model.floating:  # noise of wrenches adds to that of efforts
+        return found
     alarms, named = [*verdict.alarms], set[str]()
     unpredicted = _unpredicted(problem, found)
-    if (alarms or unpredicted) and not model.floating and not problem.options.drive_gains:
+    if (alarms or unpredicted) and not problem.options.drive_gains:
         readings = find_readings(tuple(problem.dataset.segments), model)
         if readings is not None:
             alarms.append(readings.alarm)
