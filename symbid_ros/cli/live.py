@@ -21,7 +21,7 @@ from symbid_ros.options import options_of
 POLL = 0.2  # s
 SAVING_TIME = 120.0  # s; a slow machine may lag behind
 # Parameters of the identifier that the page needs as well.
-SHARED_WITH_PAGE = "prior", "joint_topic", "rename_joint", "hold_joint"
+SHARED_WITH_PAGE = "prior", "joint_topic", "rename_joint", "flip_joint", "hold_joint"
 
 WebPage = Annotated[
     bool, typer.Option("--web", help="Also show a page in the browser, with the robot in 3D.")

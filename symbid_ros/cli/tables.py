@@ -307,7 +307,7 @@ def _verdict_lines(estimate: Estimate, verdict: Verdict) -> list[RenderableType]
         what = f"at most {worst}" if worst.size else "nothing unexplained"
         if not verdict.is_coloured:  # else an alarm says so
             lines.append(Text(f"{what}, apart from noise"))
-    if scale := verdict.describe_mass_scale():
+    if scale := verdict.describe_mass_scale(floating=estimate.base != "fixed"):
         lines.append(Text(spelled(scale, flag)))
     if not verdict.alarms:
         return [*lines, Text("no alarm", style="green")]
@@ -380,7 +380,7 @@ def print_validation(found: Validation) -> None:
             soft_wrap=True,
         )
     style = "bold red" if not found.is_better else "green" if found.is_covered else "yellow"
-    console.print(Text(found.verdict, style=style), soft_wrap=True)
+    console.print(Text(spelled(found.verdict, flag), style=style), soft_wrap=True)
 
 
 def _print_legend(console: Console, errors: Sequence[ForceError]) -> None:
@@ -415,4 +415,4 @@ def print_comparison(found: Comparison) -> None:
     rows = [(one.result, _error_cells(one.main)) for one in found.ranking]
     print_table(console, "result", ERRORS, rows)
     _print_legend(console, [one.main for one in found.ranking])
-    console.print(Text(found.verdict), soft_wrap=True)
+    console.print(Text(spelled(found.verdict, flag)), soft_wrap=True)

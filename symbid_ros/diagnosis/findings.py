@@ -57,6 +57,7 @@ class Kind(Enum):
     WEIGHT = "weight"
     CONTRADICTION = "contradiction"
     BASE_MOUNTING = "base_mounting"
+    JOINT_READINGS = "joint_readings"
     WRENCH_SIGN = "wrench_sign"
     WRENCH_FRAME = "wrench_frame"
     WRENCH_GAIN = "wrench_gain"
@@ -68,6 +69,14 @@ class Kind(Enum):
     TORQUE_SIGN = "torque_sign"
     TORQUE_GAIN = "torque_gain"
     EXCITATION = "excitation"
+
+
+# Checks that wrong readings of joints disturb.
+OF_READINGS = (
+    *(Kind.WRENCH_SIGN, Kind.WRENCH_FRAME, Kind.WRENCH_GAIN, Kind.IMU_MOUNTING, Kind.WEIGHT),
+    *(Kind.CONTRADICTION, Kind.TORQUE_SIGN, Kind.TORQUE_GAIN, Kind.ENCODER_OFFSET, Kind.DELAY),
+    Kind.EXCITATION,
+)
 
 
 @dataclass(frozen=True)
@@ -219,6 +228,14 @@ class Diagnosis:
     def with_finding(self, finding: Finding) -> "Diagnosis":
         """Return the diagnosis with one more finding."""
         return replace(self, findings=tuple(merged([finding], self.findings)))
+
+    def with_readings(self, finding: Finding) -> "Diagnosis":
+        """Return the diagnosis with wrong readings of joints, without what depends on them."""
+        kinds = ", ".join(one.value for one in OF_READINGS)
+        kept = [one for one in self.findings if one.kind not in OF_READINGS]
+        left_out = (f"{kinds}: they depend on the readings of the joints",)
+        found = replace(self, findings=tuple(kept), left_out=left_out)
+        return found.with_finding(finding)
 
     def of(self, topic: str) -> tuple[Finding, ...]:
         """Return the findings of one topic; an empty name returns those of all topics together."""

@@ -46,8 +46,9 @@ LARGEST_DELAY = 3e-3
 
 # Sensor resolution as a share of the load; smaller changes do not count as motion.
 RESOLUTION = 5e-3
-# Fewest determined directions beyond those of a single pose.
-FEWEST_DIRECTIONS = 3
+# Fewest determined directions beyond those of a single pose. On a fixed base most of what motion
+# shows is friction, which does not count here.
+FEWEST_DIRECTIONS, FEWEST_FIXED = 3, 1
 
 
 @dataclass(frozen=True)
@@ -375,15 +376,16 @@ def _check_excitation(
         "information_bit": found.gain,
     }
     moved = found.determined - found.at_rest
-    if moved < FEWEST_DIRECTIONS:
+    floating = statistics.model.floating
+    if moved < (FEWEST_DIRECTIONS if floating else FEWEST_FIXED):
         checks.findings.append(
             Finding(
                 Kind.EXCITATION,
                 "",
                 Severity.WARNING,
-                f"{found.determined} directions of the parameters are determined better than "
-                f"±25 %, {found.at_rest} of them by the mean pose alone; move all joints and fit "
-                "the base",
+                f"the log tells {found.determined} combinations of the links' inertias better than "
+                f"±25 %, of which {found.at_rest} would show in a log at rest as well; move all "
+                f"joints further and faster{', and turn the base' if floating else ''}",
                 {"determined": found.determined, "at_rest": found.at_rest},
             )
         )

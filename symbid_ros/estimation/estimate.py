@@ -17,6 +17,11 @@ from symbid_ros.model.warming import WARMING_TERM, WARMING_TERMS, Course
 MODEL_FILES = "model.urdf", "model.xml"
 
 
+# Error of held-out data, percent, and unexplained share of a joint's effort, above which a model
+# is not called fit for predictions despite its alarms. Real arms err by up to 9 %.
+LARGEST_ERROR, LARGEST_SHARE = 15.0, 0.5
+
+
 @dataclass(frozen=True)
 class RowSettings:
     """How the rows of an identification were made; options that do not apply are None.
@@ -192,13 +197,17 @@ class Estimate:
 
     @property
     def predicts_better(self) -> bool:
-        """Whether predictions improve, and no alarm is about what spoils them too.
+        """Whether predictions improve and err little, and no alarm is about what spoils them too.
 
         The others are about what the model leaves over, and about factors of efforts that are
         identified. With faults of sensors, predictions of a log with the same fault improve.
         """
         verdict, holdout = self.verdict, self.holdout
         if verdict is None or holdout is None or holdout.advice != "better":
+            return False
+        if holdout.percent_after is not None and holdout.percent_after > LARGEST_ERROR:
+            return False
+        if verdict.unexplained and verdict.unexplained[0].share > LARGEST_SHARE:
             return False
         widened = verdict.is_prior_scaled and verdict.prior_scale > verdict.largest_prior_scale
         has_factors = any(WRONG_FACTORS in alarm for alarm in verdict.alarms)

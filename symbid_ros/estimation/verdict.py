@@ -162,16 +162,23 @@ class Verdict:
             for mass, _, frame, at in named
         )
 
-    def describe_mass_scale(self) -> str:
+    def describe_mass_scale(self, *, floating: bool = True) -> str:
         """Return what the data cannot check about the masses; empty with a weighing.
 
-        Beside drive gains another line says where the scale comes from.
+        Beside drive gains another line says where the scale comes from. The efforts of a robot with
+        a fixed base do not carry all of it, so that its total mass tells nothing about them.
         """
         if self.mass_scale == 0 or self.describe_drive_gains():
             return ""
+        start = f"mass scale ± {100 * self.mass_scale:.2g} %, not checkable"
+        if not floating:
+            return (
+                f"{start} by efforts that have a gain in common: give the deviation of that gain "
+                "as `force_scale_std`"
+            )
         return (
-            f"mass scale ± {100 * self.mass_scale:.2g} %, not checkable without a weighing: give "
-            "`total_mass`, or the deviation of the sensors' common gain as `force_scale_std`"
+            f"{start} without a weighing: give `total_mass`, or the deviation of the sensors' "
+            "common gain as `force_scale_std`"
         )
 
 

@@ -21,6 +21,7 @@ from symbid_ros.identification.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
 from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.holdout import identify_with_holdout
+from symbid_ros.identification.joint_readings import find_readings
 from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.options import IdentifyOptions
@@ -104,11 +105,15 @@ def diagnose(
     robot = log.applied_to(robot)
     options = with_assumed_contacts(options, robot, log)
     robot = with_robot_options(robot, options)
-    found = None
-    if searches_gravity(options, robot):
-        found = find_gravity(first_segments(log, robot), robot)
+    segments = first_segments(log, robot)
+    found = find_gravity(segments, robot) if searches_gravity(options, robot) else None
     if found is None:
-        return doctor.diagnose(log, robot)
+        diagnosis = doctor.diagnose(log, robot)
+        readings = None if robot.floating else find_readings(segments, robot)
+        if readings is None:
+            return diagnosis
+        (topic, *_) = (one.topic for one in diagnosis.streams)
+        return diagnosis.with_readings(readings.finding(topic))
     diagnosis = doctor.diagnose(log, robot.with_gravity(found.direction))
     return diagnosis.with_finding(found.finding(robot.source))
 

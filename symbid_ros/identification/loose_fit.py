@@ -74,6 +74,8 @@ class LooseFit:
         Negative logarithm of the likelihood and the prior.
     unexplained : float
         Root mean square of the residuals over that of y.
+    shares : (J,) float64
+        The same for the efforts of each joint.
     dissipates : bool
         Whether friction takes power.
     """
@@ -81,6 +83,7 @@ class LooseFit:
     theta: FloatArray
     cost: float
     unexplained: float
+    shares: FloatArray
     dissipates: bool
 
 
@@ -158,7 +161,8 @@ class LooseRows:
         theta = mean + std * x
         cost = float(count @ np.log(deviation) + x @ x / 2)
         share = float(np.linalg.norm(size) / np.linalg.norm(self.read))
-        return LooseFit(theta, cost, share, self._dissipates(theta))
+        shares = (size / self.read)[6 * self.parameters.model.floating :]
+        return LooseFit(theta, cost, share, shares, self._dissipates(theta))
 
     def _dissipates(self, theta: FloatArray) -> bool:
         """Return whether friction takes power, apart from what chance gives."""

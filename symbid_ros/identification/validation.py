@@ -43,6 +43,11 @@ NOTICEABLE, SMALL_EFFORT = 0.01, 0.05
 # Share of errors in their 90 % interval below which standard deviations are too small, and rows
 # that a single coordinate needs to be named.
 LEAST_COVERAGE, COVERAGE_ROWS = 0.7, 20
+# Normalised square above which the robot or its load is not that of the identified log. Logs of
+# one robot have 1 to 1.4.
+OTHER_ROBOT = 100.0
+# Percent error of a joint with that many rows above which nothing of its effort is predicted.
+NOTHING = 90.0
 
 
 @dataclass(frozen=True)
@@ -205,6 +210,22 @@ class Validation:
     def is_covered(self) -> bool:
         """Whether the intervals hold about as many errors as they claim, if there are any."""
         return not self.uncovered and (self.coverage is None or self.coverage >= LEAST_COVERAGE)
+
+    @property
+    def is_of_other_robot(self) -> bool:
+        """Whether the errors are those of another robot or load than the identified one."""
+        return (self.normalized_square or 0.0) > OTHER_ROBOT and not self.is_covered
+
+    @property
+    def unpredicted(self) -> tuple[str, ...]:
+        """Joints of whose efforts nothing is predicted."""
+        return tuple(
+            one.name
+            for one in self.coordinates
+            if not one.name.startswith("base/")
+            and one.rows >= COVERAGE_ROWS
+            and (one.percent_after or 0.0) > NOTHING
+        )
 
     @property
     def groups(self) -> tuple[ForceError, ...]:
@@ -422,15 +443,26 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
         "unfit": "do not use it, it errs by more than was measured (give the robot file, units and "
         "signs of the identification)",
     }[found.advice]
-    if not found.is_covered and found.is_better:
-        start = f"{start}, but not its standard deviations"
+    if found.is_better and found.is_of_other_robot:
+        start = "better than the original, but not fit for this robot or load"
+    elif found.is_better:
+        limits = [f"for {' and '.join(found.unpredicted)}"] * bool(found.unpredicted)
+        limits += ["its standard deviations"] * (not found.is_covered)
+        start = ", but not ".join([start, " and not ".join(limits)]) if limits else start
     return f"{start}: {found.change} {used}{_reservations(found)}"
 
 
 def _reservations(found: Validation) -> str:
     """Return which intervals and joints the advice is not about; empty if there are none."""
     remarks = []
-    if not found.is_covered and found.coverage is not None:
+    if found.is_of_other_robot:
+        ratio = float(np.sqrt(found.normalized_square or 0.0))
+        remarks.append(
+            f"the errors are {ratio:.0f} times as large as in the identified log, so the robot or "
+            "its load differs from the identified one: give what it carries as `payload`, or "
+            "identify this log"
+        )
+    elif not found.is_covered and found.coverage is not None:
         shares = {"all": found.coverage}
         shares |= {one.name: one.coverage or 0.0 for one in found.uncovered}
         listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items())

@@ -98,6 +98,11 @@ class LogOptions:
         "Joint in the log and its name in the model, such as j1:=shoulder_pan_joint.",
         group=MAPPING,
     )
+    flip_joint: tuple[str, ...] = option(
+        (),
+        "Joint whose positions and velocities in the log have the opposite sign of the model's.",
+        group=MAPPING,
+    )
     hold_joint: tuple[str, ...] = option(
         (),
         "Joint that is not recorded and its constant position in rad (m), such as "

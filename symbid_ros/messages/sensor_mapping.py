@@ -31,6 +31,8 @@ class SensorMapping:
         Prefix of the sensors' frames that the model's frames lack, such as ``robot1/``.
     frames, joints : mapping of str to str
         Names in the model by names in the log.
+    flipped_joints : frozenset of str
+        Joints whose positions and velocities have the opposite sign.
     flipped : frozenset of str
         Frames whose sensor measures the wrench of the robot on its environment.
     effort_scale : mapping of str to float
@@ -52,6 +54,7 @@ class SensorMapping:
     frame_prefix: str = ""
     frames: Mapping[str, str] = field(default_factory=dict)
     joints: Mapping[str, str] = field(default_factory=dict)
+    flipped_joints: frozenset[str] = frozenset()
     flipped: frozenset[str] = frozenset()
     effort_scale: Mapping[str, float] = field(default_factory=dict)
     held: Mapping[str, float] = field(default_factory=dict)
@@ -74,6 +77,7 @@ class SensorMapping:
             options.frame_prefix,
             _pairs("rename_frame", options.rename_frame, str),
             _pairs("rename_joint", options.rename_joint, str),
+            frozenset(options.flip_joint),
             frozenset(options.flip_wrench),
             _pairs("effort_scale", options.effort_scale, _factor),
             _pairs("hold_joint", options.hold_joint, _finite),
@@ -103,6 +107,11 @@ class SensorMapping:
         names = tuple(self.joints.get(name, name) for name in stream.names)
         scale = np.array([self.effort_scale.get(name, 1.0) for name in names])
         effort = stream.effort if (scale == 1.0).all() else stream.effort * scale
+        if self.flipped_joints.intersection(names):
+            sign = np.array([-1.0 if name in self.flipped_joints else 1.0 for name in names])
+            stream = replace(
+                stream, position=stream.position * sign, velocity=stream.velocity * sign
+            )
         return replace(stream, names=names, effort=effort, effort_scale=self.effort_scale)
 
     def converted_imu(self, stream: ImuStream) -> ImuStream:

@@ -22,7 +22,7 @@ from symbid_ros.identification.assumed_contacts import assumed_contacts, leg_end
 from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
 from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.dataset import AlignedLog
-from symbid_ros.identification.exchanged_joints import find_order
+from symbid_ros.identification.joint_readings import find_readings
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
@@ -92,7 +92,7 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     else:
         inspector.find_drives()
     inspector.find_wrist_sensors()
-    inspector.exchange_joints()
+    inspector.correct_joints()
     inspector.find_mounting()
     inspector.correct_signs_and_units()
     return setup
@@ -282,28 +282,31 @@ class _Inspector:
                 f"{100 * share:.0f} % of the force is that of a body of {mass:.3g} kg.",
             )
 
-    def exchange_joints(self) -> None:
-        """Exchange joints of the log if the efforts are then explained.
+    def correct_joints(self) -> None:
+        """Exchange and reverse joints of the log if the efforts are then explained.
 
         Otherwise scales and signs of efforts would explain a part of them.
         """
         options = self.setup.options
         robot = with_robot_options(self.robot, self._given)
         log = bag_log(self.bags, robot, TopicSelection.of(self.setup.log_options))
-        order = find_order(first_segments(log, robot), robot)
-        if order is None:
+        readings = find_readings(first_segments(log, robot), robot)
+        if readings is None:
             return
-        names = robot.joint_names
-        owners = {names[read]: names[own] for own, read in enumerate(order.tolist())}
-        wrong = [name for name, owner in owners.items() if owner != name]
-        renamed = dict(entry.split(":=", 1) for entry in options.get("rename_joint", []))
-        renamed = {name: name for name in wrong if name not in renamed.values()} | renamed
-        new = {recorded: owners.get(name, name) for recorded, name in renamed.items()}
-        options["rename_joint"] = [f"{one}:={name}" for one, name in new.items() if one != name]
-        self.setup.note(
-            "rename_joint",
-            f"CHECK: found from the efforts: the log exchanges {', '.join(wrong)}.",
-        )
+        if owners := readings.exchanged:
+            renamed = dict(entry.split(":=", 1) for entry in options.get("rename_joint", []))
+            renamed = {name: name for name in owners if name not in renamed.values()} | renamed
+            new = {recorded: owners.get(name, name) for recorded, name in renamed.items()}
+            options["rename_joint"] = [f"{one}:={name}" for one, name in new.items() if one != name]
+            self.setup.note(
+                "rename_joint",
+                f"CHECK: found from the efforts: the log exchanges {', '.join(owners)}.",
+            )
+        for name, has_effort in readings.reversed_joints.items():
+            self.setup.add("flip_joint", name, "CHECK: found from the efforts.")
+            if has_effort:
+                reason = "CHECK: the log reverses these joints together with their motion."
+                self.setup.add("effort_scale", f"{name}:=-1.0", reason)
 
     def find_mounting(self) -> None:
         """Say how gravity acts on a fixed base if the efforts contradict the model."""

@@ -70,7 +70,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
             is_alarm=scale > verdict.largest_prior_scale,
             page="errors.html",
         ),
-        *_mass_scale_entries(verdict),
+        *_mass_scale_entries(verdict, estimate.base),
         SummaryEntry(
             "Whiteness",
             significant(white) if white > 0 else ABSENT,
@@ -104,15 +104,16 @@ def _unexplained_entries(verdict: Verdict) -> tuple[SummaryEntry, ...]:
     )
 
 
-def _mass_scale_entries(verdict: Verdict) -> tuple[SummaryEntry, ...]:
+def _mass_scale_entries(verdict: Verdict, base: str) -> tuple[SummaryEntry, ...]:
     if verdict.mass_scale == 0:
         return ()
+    checkable = "" if base == "fixed" else " without a weighing"
     return (
         SummaryEntry(
             "Mass scale",
             f"± {significant(100 * verdict.mass_scale)} %",
-            "not checkable without a weighing: a gain that all forces and efforts have in common "
-            "leaves no residual",
+            f"not checkable{checkable}: a gain that all forces and efforts have in common leaves "
+            "no residual",
         ),
     )
 

@@ -19,7 +19,7 @@ from symbid_ros.ros.raw_subscription import DecodedSubscription
 from symbid_ros.ros.sensor_topics import JOINTS
 
 # Options by which joint states relate to the model; the identifier has parameters of these names.
-OPTIONS = "joint_topic", "rename_joint", "hold_joint"
+OPTIONS = "joint_topic", "rename_joint", "flip_joint", "hold_joint"
 POSTURE_PARAMETERS = tuple(one for one in parameters_of(LogOptions) if one.name in OPTIONS)
 DEFAULTS = {one.name: one.default for one in parameters_of(LogOptions)}
 LEAST_MOTION = 1e-3  # rad or m; smaller motions are not shown
@@ -83,7 +83,7 @@ class LivePosture:
         names = [self._mapping.joints.get(name, name) for name in recorded]
         positions = map(float, np.ravel(message.record["position"]))
         found = {
-            name: position
+            name: -position if name in self._mapping.flipped_joints else position
             for name, position in zip(names, positions, strict=False)
             if math.isfinite(position) and name in self._model.joint_names
         }

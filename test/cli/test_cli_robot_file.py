@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+import symbid_ros as sy
 from symbid_ros.errors import OptionError
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.name_matching import match_names
@@ -348,6 +349,30 @@ def test_exchanged_joints_are_found_rather_than_scales(tmp_path, order, is_named
     assert found == {name: own for name, own in expected.items() if name != own}
     assert "effort_scale" not in setup.options
     assert any("the log exchanges" in line for line in setup.comments["rename_joint"])
+
+
+@pytest.mark.parametrize("joint", [0, 2, 3])
+@pytest.mark.parametrize("is_axis", [False, True])
+def test_reversed_joints_are_found_rather_than_scales(tmp_path, joint, is_axis) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 10.0, 1, friction=0.05).joints
+    columns = [one.copy() for one in (read.position, read.velocity, read.effort)]
+    for column in columns[: 3 if is_axis else 2]:
+        column[:, joint] *= -1
+    rows = zip(read.stamp, *columns, strict=True)
+    messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in rows]
+    bag, name = joints_only(tmp_path / "bag", *messages), arm.joint_names[joint]
+    setup = inspect_robot(ur5_urdf(), [bag], "fixed")
+    assert setup.options["flip_joint"] == [name]
+    assert setup.options.get("effort_scale", []) == [f"{name}:=-1.0"] * is_axis
+    assert setup.diagnosis is not None
+    assert not setup.diagnosis.findings
+    found = sy.diagnose(arm, sy.load_bag(bag, arm))
+    (finding,) = found.findings
+    assert finding.kind.value == "joint_readings"
+    assert f"of {name} have the opposite sign" in finding.message
+    assert f'flip_joint: ["{name}"]' in finding.message
+    assert ("effort_scale" in finding.message) == is_axis
 
 
 @given(st.permutations(ARM), st.sampled_from(["robot1_", "left/", ""]))

@@ -1,9 +1,17 @@
-"""Delays on either side of their limits, and which stream they are attributed to."""
+"""Delays on either side of their limits, which stream they are attributed to, and excitation."""
+
+from types import SimpleNamespace
 
 import pytest
 
+from symbid_ros.diagnosis import model_checks
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
-from symbid_ros.diagnosis.model_checks import ModelChecks, _attribute_to_joints, delay_finding
+from symbid_ros.diagnosis.model_checks import (
+    Excitation,
+    ModelChecks,
+    _attribute_to_joints,
+    delay_finding,
+)
 
 
 @pytest.mark.parametrize(
@@ -80,3 +88,20 @@ def test_other_findings_stay():
     assert checks.findings[0] is other
     assert [one.stream for one in checks.findings] == ["/imu", "/joints"]
     assert checks.findings[1].figures["delay_std_ms"] == pytest.approx(0)
+
+
+@pytest.mark.parametrize(
+    ("floating", "determined", "is_found"),
+    [(True, 4, True), (False, 4, False), (True, 6, False), (False, 3, True)],
+)
+def test_a_log_that_tells_no_more_than_rest_is_a_warning(
+    monkeypatch, floating, determined, is_found
+):
+    """Most of what an arm's motion shows is friction."""
+    monkeypatch.setattr(model_checks, "excitation", lambda *_: Excitation(determined, 3, 20.0))
+    checks, statistics = ModelChecks(), SimpleNamespace(model=SimpleNamespace(floating=floating))
+    model_checks._check_excitation(checks, statistics, SimpleNamespace(left=None))
+    assert [one.kind for one in checks.findings] == [Kind.EXCITATION] * is_found
+    for one in checks.findings:
+        assert "3 would show in a log at rest as well" in one.message
+        assert ("turn the base" in one.message) == floating

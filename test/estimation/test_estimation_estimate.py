@@ -194,3 +194,12 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
     path.write_text("{")
     with raises_code("E409", r"estimate\.json"):
         load_estimate(path)
+
+
+def test_a_fixed_base_is_not_asked_for_its_total_mass() -> None:
+    verdict = replace(VERDICT, mass_scale=0.01, sensors=())
+    assert "`total_mass`" in verdict.describe_mass_scale()
+    fixed = verdict.describe_mass_scale(floating=False)
+    assert fixed.startswith("mass scale ± 1 %")
+    assert "`total_mass`" not in fixed
+    assert "`force_scale_std`" in fixed

@@ -151,3 +151,35 @@ def test_an_alarm_names_joints_that_the_log_lacks(robot, is_moving):
     named = [one for one in found.alarms if one.startswith(f"the log lacks joint_{JOINT}")]
     assert len(named) == is_moving
     assert bool(found.alarms) == is_moving
+
+
+def opposed(time, position, effort):
+    """Return an effort of the last joint that is friction with the wrong sign."""
+    effort = effort.copy()
+    effort[:, -1] = -np.tanh(20 * np.gradient(position[:, -1], time))
+    return position, effort
+
+
+def only_noise(time, position, effort):
+    effort = effort.copy()
+    effort[:, -1] = np.random.default_rng(1).normal(size=len(time))
+    return position, effort
+
+
+@pytest.mark.parametrize("change", [opposed, only_noise])
+def test_an_effort_that_is_not_predicted_at_all_raises_an_alarm(robot, change):
+    found = identify(robot, Fault("", change=change))
+    alarms = [one for one in found.alarms if one.startswith("nothing of the effort of joint_2")]
+    assert len(alarms) == (change is opposed)
+    assert all("`flip_joint` joint_2, or `effort_scale` joint_2:=-1" in one for one in alarms)
+
+
+def backwards(_, position, effort):
+    position = position.copy()
+    position[:, JOINT] *= -1
+    return position, effort
+
+
+def test_an_alarm_names_a_reversed_joint(robot):
+    found = identify(robot, Fault("", change=backwards))
+    assert any(one.endswith("; give `flip_joint` joint_2") for one in found.alarms)

@@ -178,6 +178,29 @@ def test_intervals_that_are_too_narrow_are_part_of_the_verdict(arm) -> None:
     assert ", joint_0 " in found.verdict
 
 
+def test_another_load_is_part_of_the_verdict(arm) -> None:
+    """Its errors are far larger than those of the identified log."""
+    predictor = arm.identified().predictor
+    exact = replace(predictor, factor=0.02 * predictor.factor, noise=4e-4 * predictor.noise)
+    log = AlignedLog(arm.held_out, predictor.parameters.model)
+    found = validate_segments(exact, log, "log")
+    assert found.is_better
+    assert found.verdict.startswith("better than the original, but not fit for this robot or load")
+    said = re.search(r"the errors are (\d+) times as large as in the identified log", found.verdict)
+    assert said is not None
+    assert float(said[1]) == pytest.approx(np.sqrt(found.normalized_square), abs=0.5)
+    assert "give what it carries as `payload`" in found.verdict
+
+
+def test_a_joint_whose_effort_is_not_predicted_is_part_of_the_verdict(arm) -> None:
+    """It hardly counts among all joints."""
+    result = arm.identified()
+    streams = arm.held_out.streams()
+    joints = replace(streams.joints, effort=streams.joints.effort * [1.0, 1.0, -1.0])
+    found = sy.validate(result, sy.Log.from_streams(replace(streams, joints=joints)))
+    assert found.unpredicted == (arm.robot.joint_names[-1],)
+
+
 def test_a_joint_that_rests_is_not_judged_and_named(arm) -> None:
     """Static friction balances any effort of a joint at rest."""
     result = identify(arm.wrong, arm.training, joint_terms=("coulomb",))

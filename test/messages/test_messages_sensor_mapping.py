@@ -133,6 +133,18 @@ def stream(*names: str) -> JointStream:
     return JointStream("joint_states", names, np.arange(3), values, values, values)
 
 
+def test_a_flipped_joint_keeps_its_effort() -> None:
+    """A wrong axis reverses all three; `effort_scale` reverses the effort."""
+    read = JointStream(
+        "joint_states", ("a", "m"), np.arange(3), *np.random.default_rng(1).random((3, 3, 2))
+    )
+    options = LogOptions(rename_joint=("m:=b",), flip_joint=("b",))
+    found = SensorMapping.of(options).converted_joints(read)
+    np.testing.assert_array_equal(found.position, read.position * [1, -1])
+    np.testing.assert_array_equal(found.velocity, read.velocity * [1, -1])
+    np.testing.assert_array_equal(found.effort, read.effort)
+
+
 def test_a_joint_that_falls_silent_is_not_held() -> None:
     held = HeldJoints(("a", "b", "c"))
     assert held.added_to(stream("a", "b"), "log").names == ("a", "b", "c")
@@ -183,6 +195,7 @@ UNKNOWN = [
     ("rename_joint", "{joint}:=nosuch"),
     ("hold_joint", "nosuch:=0.5"),
     ("effort_scale", "nosuch:=2"),
+    ("flip_joint", "nosuch"),
     ("flip_wrench", "nosuch"),
     ("rotate_imu", "nosuch:=0,0,0"),
     ("rename_frame", "nosuch:={imu}"),

@@ -98,8 +98,11 @@ class TestRecommendation:
         )
         others = replace(coloured, alarms=(ALARM, ALARM))
         assert recommend(replace(shown, verdict=others)).kind == "bad"
-        worse = replace(shown, holdout=replace(shown.holdout, advice="worse"), verdict=coloured)
-        assert recommend(worse).kind == "bad"
+        for change in ({"advice": "worse"}, {"percent_after": 20.0}):
+            worse = replace(shown, holdout=replace(shown.holdout, **change), verdict=coloured)
+            assert recommend(worse).kind == "bad"
+        lost = replace(coloured, unexplained=(UnexplainedForce("knee", "Nm", 75.0, 80.0, 0.94),))
+        assert recommend(replace(shown, verdict=lost)).kind == "bad"
 
     def test_a_motion_that_repeats_itself_limits_the_advice(self):
         found = recommend(estimate(repeats=0.95))

@@ -33,6 +33,7 @@ SHARED = {
     "bag": {"player", "identifier"},  # the input
     "base": {"identifier", "web_monitor"},
     "clock_rate": {"mujoco_bridge", "player"},
+    "flip_joint": {"identifier", "web_monitor"},
     "hold_joint": {"identifier", "web_monitor"},
     "identifier": {"monitor", "web_monitor"},
     "joint_topic": {"identifier", "web_monitor"},

@@ -58,6 +58,12 @@ def test_renamed_joints_move(node, say) -> None:
     assert at(posture, L_kfe=0.4, R_kfe=0.1)
 
 
+def test_flipped_joints_move_the_other_way(node, say) -> None:
+    posture = LivePosture(node, MODEL, DEFAULTS | {"flip_joint": ["L_kfe"]})
+    say(posture, L_kfe=0.4, R_kfe=0.1)
+    assert at(posture, L_kfe=-0.4, R_kfe=0.1)
+
+
 def test_joints_come_from_several_topics_and_are_kept(node, say) -> None:
     values = DEFAULTS | {"joint_topic": ["left/states", "right/states"]}
     posture = LivePosture(node, MODEL, values)

@@ -1,0 +1,121 @@
+"""Alarms about joints whose efforts the estimate does not predict, or whose signs are wrong."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.unexplained import force_text
+from symbid_ros.identification.joint_readings import find_readings
+from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.solver import Identification
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.segments import Segment
+
+# Share of a joint's measured effort (RMS) above which its residual counts as all of it, fewest
+# rows, and largest share of the noise of averaged efforts.
+ALL, FEWEST_ROWS, NOISE = 0.9, 20, 0.1
+# Correlation of effort and velocity below which the effort opposes the motion.
+OPPOSED = -0.3
+
+
+def with_joint_alarms(problem: LoadedProblem, found: Identification) -> Identification:
+    """Return an identification with alarms about single joints.
+
+    They are about joints of a fixed base that move and whose effort is not predicted at all. If
+    there is any alarm, the log is searched for joints that it exchanges or reverses.
+    """
+    verdict = found.estimate.verdict
+    if verdict is None:
+        return found
+    model = problem.solver.problem.parameters.model
+    if model.floating:  # noise of wrenches adds to that of efforts
+        return found
+    alarms, named = [*verdict.alarms], set[str]()
+    unpredicted = _unpredicted(problem, found)
+    if (alarms or unpredicted) and not problem.options.drive_gains:
+        readings = find_readings(tuple(problem.dataset.segments), model)
+        if readings is not None:
+            alarms.append(readings.alarm)
+            named = {*readings.exchanged, *readings.reversed_joints}
+    alarms += [alarm for name, alarm in unpredicted.items() if name not in named]
+    verdict = replace(verdict, alarms=tuple(alarms))
+    return replace(found, estimate=replace(found.estimate, verdict=verdict))
+
+
+def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str]:
+    """Return an alarm for each joint whose effort is not predicted."""
+    solved, rows = problem.solver.problem, problem.solver.chosen
+    model = solved.parameters.model
+    counts = rows.counts.diagonal()
+    measured = np.sqrt(rows.rows.target_squares / np.maximum(counts, 1))
+    left = found.estimate.residual_rmse
+    # Efforts whose factor is identified are not measured in Nm.
+    joints = {one for one in model.joint_names if f"{one}/drive_gain" not in solved.sensor_names}
+    doubted = {
+        name: size
+        for name, size, count in zip(rows.layout.coordinates, measured, counts, strict=True)
+        if name in joints and count >= FEWEST_ROWS and left.get(name, 0.0) > ALL * size > 0.0
+    }
+    if not doubted:
+        return {}
+    efforts = _Efforts.of(problem.dataset.segments, model)
+    alarms = {}
+    for name, size in doubted.items():
+        index = model.joint_names.index(name)
+        if efforts.noise_share(index, rows.window) > NOISE:
+            continue
+        unit = "Nm" if model.joints[index].kind == "revolute" else "N"
+        cause = (
+            "the effort opposes the motion, so the sign of one of them is wrong; give `flip_joint` "
+            f"{name}, or `effort_scale` {name}:=-1"
+            if efforts.correlation[index] < OPPOSED
+            else "check which joint the driver means by its position and its effort"
+        )
+        alarms[name] = (
+            f"nothing of the effort of {name} ({force_text(size, unit)}) is predicted, although "
+            f"the joint moves and the effort is clear of noise: {cause}"
+        )
+    return alarms
+
+
+@dataclass(frozen=True)
+class _Efforts:
+    """Statistics of the J joints' measured efforts.
+
+    Attributes
+    ----------
+    noise : (J,) float64
+        RMS noise over the RMS effort.
+    correlation : (J,) float64
+        Of effort and velocity.
+    rate : float
+        Hz.
+    """
+
+    noise: FloatArray
+    correlation: FloatArray
+    rate: float
+
+    @classmethod
+    def of(cls, segments: Iterable[Segment], model: RobotModel) -> "_Efforts":
+        """Return the statistics of a log."""
+        square, power, motion, bend = np.zeros((4, len(model.joints)))
+        rate = 0.0
+        for segment in segments:
+            effort = np.nan_to_num(segment.effort)
+            velocity = np.gradient(segment.position, axis=0) * segment.rate
+            square += np.sum(effort**2, axis=0)
+            motion += np.sum(velocity**2, axis=0)
+            power += np.sum(effort * velocity, axis=0)
+            # White noise of variance σ² has second differences of variance 6 σ².
+            bend += np.sum(np.diff(effort, n=2, axis=0) ** 2, axis=0) / 6
+            rate = segment.rate
+        size = np.maximum(square, 1e-300)
+        correlation = power / np.sqrt(size * np.maximum(motion, 1e-300))
+        return cls(np.sqrt(bend / size), correlation, rate)
+
+    def noise_share(self, joint: int, window: float) -> float:
+        """Return the share of noise in a joint's efforts, averaged over windows of length in s."""
+        return float(self.noise[joint] / np.sqrt(max(self.rate * window, 1.0)))

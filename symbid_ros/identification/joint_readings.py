@@ -1,0 +1,194 @@
+"""Joints whose readings a log exchanges or reverses, found from the efforts."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.diagnosis.findings import Finding, Kind
+from symbid_ros.identification.loose_fit import LooseRows, loose_rows, some_blocks
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.options import robot_file_line
+from symbid_ros.signals.segments import Segment
+
+# Logs are right in which less than this share of each joint's efforts is left (RMS).
+EXPLAINED = 0.01
+# Each change has to be likelier by this many nats, and by this many for each row. Reversed joints
+# of real logs that are right bring 12 nats at most. A reversed position also has to be likelier by
+# this many nats than a reversed effort of the joint, and than both together.
+EVIDENCE, LEAST_GAIN = 50.0, 0.1
+# All changes together have to halve the residuals (geometric mean) of as many joints as they
+# change, and to leave no more than this share of the efforts unexplained (RMS).
+HALVED, MOST_LEFT = np.log(2.0), 0.2
+BLOCKS = 4  # of the log that are compared
+MOST_JOINTS = 20  # every pair is tried
+# Signs of position and effort that are tried for each joint.
+REVERSALS = (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)
+
+
+@dataclass(frozen=True)
+class JointReadings:
+    """How the readings of a log belong to the J joints of a model.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Joints of the model.
+    order : (J,) int64
+        Whose readings in the log are those of each joint.
+    position, effort : (J,) float64
+        Signs of the readings.
+    """
+
+    names: tuple[str, ...]
+    order: IntArray
+    position: FloatArray
+    effort: FloatArray
+
+    @classmethod
+    def unchanged(cls, names: tuple[str, ...]) -> "JointReadings":
+        """Return readings that are those of the joints."""
+        ones = np.ones(len(names))
+        return cls(names, np.arange(len(names)), ones, ones)
+
+    @property
+    def exchanged(self) -> dict[str, str]:
+        """Names of joints in the model, by their names in the log."""
+        pairs = zip(self.order.tolist(), self.names, strict=True)
+        return {self.names[read]: own for read, own in pairs if self.names[read] != own}
+
+    @property
+    def reversed_joints(self) -> dict[str, bool]:
+        """Joints whose position and velocity have the wrong sign, and whether the effort has."""
+        signs = zip(self.names, self.position, self.effort, strict=True)
+        return {name: bool(effort < 0) for name, position, effort in signs if position < 0}
+
+    @property
+    def changed(self) -> int:
+        """Number of joints whose readings are changed."""
+        is_changed = self.order != np.arange(len(self.order))
+        return int(np.sum(is_changed | (self.position < 0) | (self.effort < 0)))
+
+    def applied_to(self, segment: Segment) -> Segment:
+        """Return a segment with the joints' own readings."""
+        return replace(
+            segment,
+            position=segment.position[:, self.order] * self.position,
+            effort=segment.effort[:, self.order] * self.effort,
+        )
+
+    def with_exchanged(self, one: int, other: int) -> "JointReadings":
+        """Return the readings with those of two joints exchanged."""
+        order = self.order.copy()
+        order[[one, other]] = order[[other, one]]
+        return replace(self, order=order)
+
+    def with_reversed(self, joint: int, position: float, effort: float) -> "JointReadings":
+        """Return the readings with those of a joint times these signs."""
+        signs = [self.position.copy(), self.effort.copy()]
+        for each, sign in zip(signs, (position, effort), strict=True):
+            each[joint] *= sign
+        return replace(self, position=signs[0], effort=signs[1])
+
+    @property
+    def fault(self) -> str:
+        """What the log exchanges or reverses."""
+        said = []
+        if self.exchanged:
+            said.append(f"the log exchanges {', '.join(self.exchanged)}")
+        groups = {
+            what: [name for name, is_effort in self.reversed_joints.items() if is_effort == whole]
+            for whole, what in (
+                (False, "position and velocity"),
+                (True, "position, velocity and effort"),
+            )
+        }
+        reversed_ = [f"{what} of {', '.join(names)}" for what, names in groups.items() if names]
+        if reversed_:
+            said.append(f"{', '.join(reversed_)} have the opposite sign of the model's joint axis")
+        return f"{', and '.join(said)}, as the efforts show"
+
+    @property
+    def options(self) -> dict[str, list[str]]:
+        """Values of the options that correct the readings, by option."""
+        pairs = [f"{recorded}:={own}" for recorded, own in self.exchanged.items()]
+        reversed_ = self.reversed_joints
+        scales = [f"{name}:=-1.0" for name, is_effort in reversed_.items() if is_effort]
+        values = {"rename_joint": pairs, "flip_joint": list(reversed_), "effort_scale": scales}
+        return {option: given for option, given in values.items() if given}
+
+    @property
+    def alarm(self) -> str:
+        """The fault and the options that correct it, for an identification."""
+        given = (f"`{option}` {','.join(values)}" for option, values in self.options.items())
+        return f"{self.fault}; give {' and '.join(given)}"
+
+    def finding(self, topic: str) -> Finding:
+        """Return the doctor's finding about the topic of the joint states."""
+        lines = (robot_file_line(option, *values) for option, values in self.options.items())
+        text = f"{self.fault}; correct the driver or the model, or write {' and '.join(lines)}"
+        return Finding.of(topic, Kind.JOINT_READINGS, text, {})
+
+
+def find_readings(segments: Sequence[Segment], robot: RobotModel) -> JointReadings | None:
+    """Return how the joints of a log are to be read; None if their readings are right.
+
+    Joints are exchanged or reversed one after another as long as that explains the efforts better.
+    Efforts alone that are reversed do not count; the doctor's gains show them together with their
+    units.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Of the log.
+    robot : RobotModel
+    """
+    blocks = list(some_blocks(segments))[:BLOCKS]
+    driven = np.any([np.isfinite(one.effort).any(axis=0) for one in blocks], axis=0)
+    measured = [robot.joint_names.index(name) for name in robot.measured_joint_names]
+    moving = [index for index in measured if blocks and driven[index]]
+    if not 0 < len(moving) <= MOST_JOINTS:
+        return None
+
+    def read(readings: JointReadings) -> LooseRows | None:
+        return loose_rows([readings.applied_to(one) for one in blocks], robot)
+
+    readings = JointReadings.unchanged(robot.joint_names)
+    rows = read(readings)
+    if rows is None:
+        return None
+    count = int(rows.valid.sum())
+    best = first = rows.fit()
+    if first.shares[moving].max() < EXPLAINED:
+        return None
+    while True:
+        tried = [
+            (found.fit(), changed, joint)
+            for changed, joint in _changes(readings, moving)
+            if (found := read(changed)) is not None
+        ]
+        fit, changed, joint = min(tried, key=lambda one: one[0].cost, default=(best, readings, -1))
+        if fit.cost > best.cost - max(EVIDENCE, LEAST_GAIN * count):
+            break
+        rivals = [one.cost for one, _, other in tried if other == joint and one is not fit]
+        if joint is not None and min(rivals) < fit.cost + EVIDENCE:
+            break
+        best, readings = fit, changed
+    least = HALVED * count * readings.changed / len(moving)
+    if first.cost - best.cost <= least or best.unexplained >= MOST_LEFT:
+        return None
+    readings = replace(readings, effort=np.where(readings.position < 0, readings.effort, 1.0))
+    return readings if readings.changed else None
+
+
+def _changes(
+    readings: JointReadings, moving: Sequence[int]
+) -> Iterator[tuple[JointReadings, int | None]]:
+    """Yield readings with a pair of joints exchanged or a joint reversed, and the latter joint."""
+    for one, other in combinations(moving, 2):
+        yield readings.with_exchanged(one, other), None
+    for joint in moving:
+        for signs in REVERSALS:
+            yield readings.with_reversed(joint, *signs), joint
