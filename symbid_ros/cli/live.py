@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from symbid_ros.cli.flags import BaseKind, Robot, require_model, with_flags
-from symbid_ros.cli.processes import NodeProcess
+from symbid_ros.cli.processes import NodeProcess, unused_node_name
 from symbid_ros.errors import SymbidError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
@@ -20,6 +20,7 @@ from symbid_ros.options import options_of
 
 POLL = 0.2  # s
 SAVING_TIME = 120.0  # s; a slow machine may lag behind
+AS_IT_IS: dict[str, Any] = {"soft_wrap": True, "markup": False, "highlight": False}
 # Parameters of the identifier that the page needs as well.
 SHARED_WITH_PAGE = "prior", "joint_topic", "rename_joint", "flip_joint", "hold_joint"
 
@@ -52,6 +53,13 @@ def live(
             "changes; 0: data are never forgotten.",
         ),
     ] = 0.0,
+    namespace: Annotated[
+        str,
+        typer.Option(
+            metavar="<name>",
+            help="Namespace of the robot's topics and of the nodes that are started.",
+        ),
+    ] = "/",
     web: WebPage = False,
     host: Annotated[
         str,
@@ -64,7 +72,8 @@ def live(
     """Identify a running robot from its ROS 2 topics, until Ctrl-C.
 
     It starts the nodes identifier and monitor, and with --web also web_monitor, in the ROS domain
-    of this terminal.
+    of this terminal. If an identifier runs there already, this one gets another name, which is
+    printed.
     """
     from symbid_ros.model.load import load_model
     from symbid_ros.shutdown import exit_on_signals
@@ -82,15 +91,41 @@ def live(
     page = common | {"host": host, "port": port}
     page |= {name: given[name] for name in SHARED_WITH_PAGE if name in given}
     environment = dict(os.environ)
+    space = f"/{namespace.strip('/')}"
+    console.print(f"preparing: starting the nodes; their logs are in {logs}", **AS_IT_IS)
+    name = unused_node_name("identifier", space, environment)
+    if name != "identifier":
+        console.print(
+            f"{space.rstrip('/')}/identifier is running already: this one is {name}; give "
+            "--namespace if each robot has its topics in a namespace",
+            **AS_IT_IS,
+        )
+    remapped = {"__ns": space}
+    watched = {"identifier": name}
     with (
-        NodeProcess("identifier", parameters, environment, logs / "identifier.log") as identifier,
+        NodeProcess(
+            "identifier",
+            parameters,
+            environment,
+            logs / "identifier.log",
+            remapped=remapped | {"__node": name},
+        ) as identifier,
         ExitStack() as others,
     ):
         try:
             shown = [identifier]
             if web:
-                shown.append(others.enter_context(start_page(page, environment, logs, console)))
-            monitor = NodeProcess("monitor", {}, environment, logs / "monitor.log", is_shown=True)
+                page |= watched
+                started = start_page(page, environment, logs, console, remapped)
+                shown.append(others.enter_context(started))
+            monitor = NodeProcess(
+                "monitor",
+                watched,
+                environment,
+                logs / "monitor.log",
+                remapped=remapped,
+                is_shown=True,
+            )
             shown.append(others.enter_context(monitor))
             while True:
                 for node in shown:
@@ -107,10 +142,15 @@ def live(
 
 
 def start_page(
-    parameters: Mapping[str, object], environment: Mapping[str, str], logs: Path, console: Console
+    parameters: Mapping[str, object],
+    environment: Mapping[str, str],
+    logs: Path,
+    console: Console,
+    remapped: Mapping[str, str] | None = None,
 ) -> NodeProcess:
     """Start the node web_monitor, print the address of its page and return the node."""
-    node = NodeProcess("web_monitor", parameters, environment, logs / "web_monitor.log")
+    log = logs / "web_monitor.log"
+    node = NodeProcess("web_monitor", parameters, environment, log, remapped=remapped)
     try:
         address = node.first_line()
     except BaseException:

@@ -49,6 +49,8 @@ class NodeProcess:
         File for the node's stderr.
     file : str, optional
         File in ``config/`` with the remaining parameters.
+    remapped : mapping of str to str, optional
+        Remapping rules, such as another ``__node`` or ``__ns``.
     is_shown : bool
         Whether the node prints to the terminal; its summary is then not read.
     """
@@ -61,10 +63,13 @@ class NodeProcess:
         log: Path,
         *,
         file: str | None = None,
+        remapped: Mapping[str, str] | None = None,
         is_shown: bool = False,
     ) -> None:
         self.name, self.log = name, log
         arguments = ["--params-file", str(config_file(file))] if file else []
+        for old, new in (remapped or {}).items():
+            arguments += ["-r", f"{old}:={new}"]
         for key, value in parameters.items():
             arguments += ["-p", f"{key}:={json.dumps(value)}"]  # read as YAML, which includes JSON
         start = f"from symbid_ros.ros.start import {name}; {name}()"
@@ -188,6 +193,20 @@ class NodeProcess:
         reason = f"exit status {status}" if status >= 0 else f"killed by signal {-status}"
         reason = lines[-1] if lines else reason
         return SymbidError(f"{self.name} failed: {reason} (see {self.log})", "E553")
+
+
+def unused_node_name(name: str, namespace: str, environment: Mapping[str, str]) -> str:
+    """Return the name, or a variant of it if a node in the namespace has it already.
+
+    The name itself is returned if nodes cannot be started; the node then reports why.
+    """
+    found = subprocess.run(
+        [sys.executable, "-m", "symbid_ros.ros.node_names", name, namespace],
+        env=dict(environment),
+        capture_output=True,
+        text=True,
+    )
+    return found.stdout.strip() or name
 
 
 DOMAINS = range(1, 102)  # higher domains use the ephemeral ports of Linux

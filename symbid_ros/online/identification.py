@@ -128,6 +128,8 @@ class OnlineIdentification:
         # With the number of blocks from which it was found.
         self._is_coupled: tuple[int, bool] | None = None
         self._until = 0
+        # What the last estimate was made from: messages up to a stamp, ns, and processed blocks.
+        self._solved: tuple[int | None, BlockAccumulator | None] = None, None
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
         # Windows that suit the topics' rate; empty until the rate is known.
         self._usable_windows: tuple[float, ...] = ()
@@ -148,9 +150,12 @@ class OnlineIdentification:
 
     @property
     def has_news(self) -> bool:
-        """Whether data arrived that the last estimate does not include."""
+        """Whether messages or processed blocks arrived after the last estimate."""
+        until, blocks = self._solved
         complete = self.streams.complete_until
-        return complete is not None and complete > self._until
+        return complete is not None and (
+            complete != until or self._accumulator.blocks is not blocks
+        )
 
     @property
     def evidence(self) -> float:
@@ -218,6 +223,7 @@ class OnlineIdentification:
             opposite wrench.
         """
         self.advance()
+        self._solved = self.streams.complete_until, self._accumulator.blocks
         known = self._accumulator.blocks.stop or 0  # end of the processed blocks
         new = [
             self._partial_rows(span)
@@ -238,6 +244,7 @@ class OnlineIdentification:
         while solver is not None and self._relinearize(solver.posterior):
             self._add_processed(self._worker.finish())
             solver = self._exact_solver(open_block)
+        self._solved = self.streams.complete_until, self._accumulator.blocks
         return (
             None
             if solver is None
@@ -388,10 +395,8 @@ class OnlineIdentification:
     ) -> OnlineEstimate:
         found = self._identify(solver, with_verdict=with_verdict)
         window = solver.chosen.window
-        if not with_verdict:
-            # The verdict would state it; such an estimate is saved if there is no time for another.
-            rows = RowSettings("weak", window=window)
-            found = replace(found, estimate=replace(found.estimate, rows=rows))
+        rows = RowSettings("weak", window=window)
+        found = replace(found, estimate=replace(found.estimate, rows=rows))
         return OnlineEstimate(
             self._changed.compared_with_the_first(found),
             solver.problem.parameters,
@@ -464,7 +469,8 @@ class OnlineIdentification:
     def _submit(self, span: TimeSpan | None) -> None:
         if span is None:
             return
-        if not span.fault and self._options.sensor_error_kinds and self._calibration is None:
+        if not span.fault and span.segments:
+            # A log may end with its first estimate, before a piece of the open block was read.
             try:
                 self._prepare_rows(span)
             except SymbidError as error:
@@ -481,6 +487,7 @@ class OnlineIdentification:
     def _add_processed(self, blocks: BlockAccumulator | None) -> None:
         if blocks is not None:
             self._accumulator.update_blocks(blocks)
+            self._until = max(self._until, (blocks.stop or 1) - 1)
 
     def _partial_rows(self, span: TimeSpan) -> BlockRows:
         self._prepare_rows(span)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,12 +13,14 @@ from symbid_ros.online.estimate import OnlineEstimate
 from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.online.live_streams import LiveStreams, TopicBuffer
 from symbid_ros.ros.estimate_topics import estimate_status
+from symbid_ros.ros.monitor_messages import DISABLED
 from symbid_ros.ros.reporting import ERROR, OK, WARN, NodeStatus
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 
 SILENCE = 2.0  # s without a message until a topic is reported
 RATE_PERIOD = 0.5  # s; shortest time over which rates are computed
 IN_ORDER = "in order"
+TOO_FEW = "too few data for an estimate"
 TOO_EARLY = "too early to detect a change"
 
 
@@ -47,10 +49,14 @@ def _sensor_statuses(outcome: OnlineEstimate) -> tuple[NodeStatus, ...]:
 
 @dataclass
 class StreamMonitor:
-    """Finds topics that are silent or have invalid stamps, from their message counts."""
+    """Finds topics that are silent or have invalid stamps, from their message counts.
+
+    Invalid stamps remain a topic's fault when it falls silent.
+    """
 
     _last: dict[str, _Counts] = field(default_factory=dict)
     _received: dict[str, float] = field(default_factory=dict)
+    _stamp_faults: dict[str, str] = field(default_factory=dict)
 
     def check(self, streams: LiveStreams) -> dict[str, str]:
         """Return the faults since the last check, by topic."""
@@ -69,20 +75,25 @@ class StreamMonitor:
                 # After a jump of the clock, older messages are stale for one check only.
                 is_lasting = is_stale and last.is_stale
                 fault = _stamp_fault(buffer, last, streams.clock if is_lasting else None)
-            else:
+                self._stamp_faults[name] = fault
+            elif not (fault := self._stamp_faults.get(name, "")):
                 is_silent = now - self._received.setdefault(name, now) > SILENCE
                 fault = f"no message for over {SILENCE:g} s; check its driver" if is_silent else ""
             if fault:
                 faults[name] = f"{name}: {fault}"
         return faults
 
+    def pause(self) -> None:
+        """Expect no messages until the next check."""
+        self._received.clear()
+
 
 def _stamp_fault(buffer: TopicBuffer, last: _Counts, clock: int | None) -> str:
     """Return the fault of new stamps; ``clock``, ns, is given if they are from another time."""
     if buffer.unstamped > last.unstamped:
         return (
-            "header.stamp is zero and these messages are ignored; make the driver set the stamp "
-            "(with use_sim_time it needs /clock)"
+            f"header.stamp is zero in {buffer.unstamped} messages, which are ignored; make the "
+            "driver set the stamp (with use_sim_time it needs /clock)"
         )
     if clock is not None:
         return (
@@ -105,6 +116,7 @@ class IdentifierDiagnostics:
 
     def __init__(self) -> None:
         self._is_enabled = True
+        self._has_tried = False  # to make an estimate
         self._estimate = NodeStatus("estimate", WARN, "no estimate yet")
         self._streams = NodeStatus("streams", WARN, "no sensor topics yet")
         self._change = NodeStatus("change", OK, TOO_EARLY)
@@ -113,21 +125,22 @@ class IdentifierDiagnostics:
         self._dropped: dict[str, int] = {}
         self._monitor = StreamMonitor()
         self._updated = self._solved = time.monotonic()
+        self._age = float("nan")  # of the newest estimate when it was made, s
 
     def statuses(self) -> Sequence[NodeStatus]:
         """Return the current statuses."""
-        estimate = self._estimate
+        estimate, streams = self._estimate, self._streams
+        since = time.monotonic() - self._solved
+        values = {**estimate.values, "since_solved": f"{since:.2f}"}
+        if "age" in values:  # it grows while no data arrive
+            values["age"] = f"{self._age + since:.3f}"
+        estimate = replace(estimate, values=values)
         if not self._is_enabled:
-            estimate = NodeStatus("estimate", WARN, "not enabled", estimate.values)
-        age = time.monotonic() - self._solved
+            estimate = replace(estimate, level=OK, message=DISABLED)
+            streams = replace(streams, level=OK, message=DISABLED)
         return (
-            NodeStatus(
-                estimate.part,
-                estimate.level,
-                estimate.message,
-                {**estimate.values, "since_solved": f"{age:.2f}"},
-            ),
-            self._streams,
+            estimate,
+            streams,
             self._change,
             *self._sensors,
         )
@@ -140,10 +153,13 @@ class IdentifierDiagnostics:
 
     @property
     def reason(self) -> str:
-        """Why there is no estimate."""
-        if self._streams.message != IN_ORDER:
-            return self._streams.message
-        return self._estimate.message
+        """Why there is no estimate: too few or unsuitable data, and why there are no more."""
+        reasons = [self._estimate.message] if self._has_tried else []
+        if not self._is_enabled:
+            reasons.append(DISABLED)
+        elif self._streams.message != IN_ORDER:
+            reasons.append(self._streams.message)
+        return "; ".join(reasons) or TOO_FEW
 
     def set_enabled(self, is_enabled: bool) -> None:
         """Set whether messages are used."""
@@ -151,6 +167,7 @@ class IdentifierDiagnostics:
 
     def set_error(self, message: str) -> None:
         """Set why solving failed."""
+        self._has_tried = True
         self._estimate = NodeStatus("estimate", ERROR, message)
 
     def set_estimate(
@@ -165,12 +182,13 @@ class IdentifierDiagnostics:
         ``known`` is what the estimate knows of the whole robot.
         """
         self._solved = time.monotonic()
+        self._has_tried = True
         if outcome is None:
-            self._estimate = NodeStatus("estimate", WARN, "too few data for an estimate")
+            self._estimate = NodeStatus("estimate", WARN, TOO_FEW)
             return
         newest = live.streams.joints.newest
-        age = 0.0 if newest is None else (newest - outcome.until) * 1e-9
-        self._estimate = self._estimate_status(outcome, known, age, solve_time)
+        self._age = 0.0 if newest is None else max((newest - outcome.until) * 1e-9, 0.0)
+        self._estimate = self._estimate_status(outcome, known, solve_time)
         self._sensors = _sensor_statuses(outcome)
         values = {"evidence": f"{live.evidence:.1f}"}
         change = outcome.change or outcome.followed
@@ -201,12 +219,11 @@ class IdentifierDiagnostics:
         self,
         outcome: OnlineEstimate,
         known: RobotUncertainty | None,
-        age: float,
         solve_time: float,
     ) -> NodeStatus:
         details = {
             "window": f"{outcome.window:g}",
-            "age": f"{max(age, 0.0):.3f}",
+            "age": f"{self._age:.3f}",
             "data_time": f"{outcome.until * 1e-9:.3f}",
             "solve_time": f"{solve_time:.3f}",
         }
@@ -226,6 +243,8 @@ class IdentifierDiagnostics:
             return None
         self._updated = now
         values: dict[str, object] = {}
+        if not self._is_enabled:
+            self._monitor.pause()
         faults_by_topic = self._monitor.check(live.streams)
         for topic, buffer in live.streams.buffers.items():
             name = topic.name

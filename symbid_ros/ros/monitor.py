@@ -25,6 +25,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.formatting import ABSENT, fixed, with_std
 from symbid_ros.ros.endpoints import latched_qos, reliable_qos
 from symbid_ros.ros.monitor_messages import (
+    DISABLED,
     IdentifierStatus,
     PublishedLink,
     RobotEstimate,
@@ -34,6 +35,7 @@ from symbid_ros.ros.monitor_messages import (
 )
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import run_node
+from symbid_ros.ros.reporting import NUMBER
 
 SILENCE = 3.0  # s without a status until it is reported; the identifier publishes every second
 LEGEND = "known: from the data; σ ÷: reduction since the first estimate"
@@ -64,15 +66,17 @@ class MonitorView:
 
 
 class Screen:
-    """Displays views: a live table on a terminal; elsewhere a log line for each estimate.
+    """Displays views: a live table on a terminal, elsewhere a line for each change.
 
-    Without a terminal, the table is printed once at the end.
+    A change is an estimate from newer data, or another warning. Without a terminal, the table is
+    printed once at the end.
     """
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._live = Live(console=console, auto_refresh=False) if console.is_interactive else None
         self._last: MonitorView | None = None
+        self._shown: tuple[int | None, str] | None = None
 
     @contextmanager
     def display(self) -> Iterator[None]:
@@ -85,31 +89,42 @@ class Screen:
                 self._console.print(page(self._last, self._console))
 
     def show(self, view: MonitorView) -> None:
-        """Show a view; a log gets each estimate only once."""
-        is_new = self._last is None or view.estimate is not self._last.estimate
+        """Show a view; a log gets only what is new, except for other numbers in a warning."""
         self._last = view
         if self._live is not None:
             self._live.update(page(view, self._console), refresh=True)
-        elif view.estimate is not None and is_new:
-            self._console.print(
-                line(view, view.estimate),
-                soft_wrap=True,
-                highlight=False,
-                markup=False,
-                emoji=False,
-            )
+            return
+        if view.estimate is None:
+            stamp, text = None, "; ".join([progress(view), *view.status.warnings])
+            state = text
+        else:
+            stamp, text = view.estimate.stamp, line(view, view.estimate)
+            state = "; ".join(view.status.warnings)
+        if (shown := (stamp, NUMBER.sub("#", state))) != self._shown:
+            self._shown = shown
+            self._console.print(text, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 
 def page(view: MonitorView, console: Console) -> RenderableType:
     """Return heading, table of links and warnings, as wide as the console."""
     if view.estimate is None:
-        waiting = Text(f"waiting for {view.identifier}/estimate", style="dim")
-        return Group(waiting, *(Text(warning) for warning in view.status.warnings))
+        warnings = [Text(warning) for warning in view.status.warnings]
+        return Group(Text(progress(view), style="dim"), *warnings)
     return Group(
         _head(view, view.estimate),
         _links(view, view.estimate, console),
         *_warnings(view, view.estimate),
     )
+
+
+def progress(view: MonitorView) -> str:
+    """Return how far the identifier is on its way to the first estimate."""
+    status = view.status
+    if not status.values and not status.warnings:
+        return f"preparing: waiting for {view.identifier}, which compiles at the first start"
+    if status.streams:
+        return f"ready: move the robot; {', '.join(map(_stream, status.streams))}"
+    return f"waiting for {view.identifier}/estimate"
 
 
 def line(view: MonitorView, estimate: RobotEstimate) -> str:
@@ -213,7 +228,8 @@ def _stream(stream: StreamCounts) -> str:
 
 def _age(status: IdentifierStatus) -> list[str]:
     age = status.number("age")
-    return [f"{age:.1f} s old"] if math.isfinite(age) else []
+    parts = [f"{age:.1f} s old"] if math.isfinite(age) else []
+    return parts if status.is_enabled else [*parts, DISABLED]
 
 
 def _overall_shrinkage(view: MonitorView, estimate: RobotEstimate) -> float:

@@ -17,6 +17,7 @@ from symbid_ros.model.inertia import PARAMETERS
 # Counts of a stream that should be zero.
 FAULTS = "missing", "late", "dropped"
 LEVELS = {1: "warning", 2: "error"}
+DISABLED = "disabled by ~/enable"  # message of the status "estimate"
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,7 @@ class IdentifierStatus:
     values: Mapping[str, str]  # of the status "estimate"
     warnings: tuple[str, ...]  # level and message of every status that is not OK
     streams: tuple[StreamCounts, ...]
+    is_enabled: bool = True
 
     def number(self, key: str) -> float:
         """Return a value as a number; NaN if it is missing or not a number."""
@@ -157,6 +159,7 @@ def read_status(statuses: Mapping[str, DiagnosticStatus]) -> IdentifierStatus:
         values={} if estimate is None else _values(estimate),
         warnings=tuple(warnings),
         streams=() if streams is None else _streams(_values(streams)),
+        is_enabled=estimate is None or estimate.message != DISABLED,
     )
 
 

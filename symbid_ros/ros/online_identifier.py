@@ -146,7 +146,7 @@ class OnlineIdentifier:
     def run(self, stop: Event) -> None:
         """Identify until stopped, save the final estimate if wanted, and print counts as JSON.
 
-        Without an estimate at the end, this raises an EstimateError.
+        Without an estimate at the end, this raises an EstimateError that states the reason.
         """
         try:
             self._await_topics(stop)
@@ -159,7 +159,7 @@ class OnlineIdentifier:
             self._ended.set()
             if self._identification is not None:
                 self._identification.close()
-        if not self._solves:
+        if self._newest is None:
             raise EstimateError(f"stopped without an estimate: {self._diagnostics.reason}", "E811")
 
     def _await_topics(self, stop: Event) -> None:
@@ -369,15 +369,17 @@ class OnlineIdentifier:
         summary: dict[str, object] = {
             "received": {topic.name: buffer.received for topic, buffer in buffers.items()},
             "missing": {topic.name: buffer.missing for topic, buffer in buffers.items()},
-            "solves": self._solves,
         }
-        # There may be no estimate, for example after a reset.
-        if self._out is not None and self._solves and (final := self._final_estimate()):
+        if self._out is not None and (final := self._final_estimate()):
             summary["saved"] = self._write(final, self._out)
+        summary["solves"] = self._solves
         print(json.dumps(summary), flush=True)
 
     def _final_estimate(self) -> OnlineEstimate | None:
-        """Return the estimate from all data, or the newest one if there is too little time."""
+        """Return the estimate from all data, or the newest one if there is too little time.
+
+        None if there are too few data or they do not suit the robot; the diagnostics state why.
+        """
         if self._newest is not None and EXACT_COST * self._solve_time > SHUTDOWN_SOLVE_TIME:
             self._node.get_logger().warning(
                 "solving is too slow for shutdown: saving the newest estimate, which lacks the "
@@ -387,9 +389,8 @@ class OnlineIdentifier:
         try:
             return self._solve(exactly=True)
         except SymbidError as error:
-            if self._newest is None:
-                raise
-            self._node.get_logger().warning(f"{error}; saving the previous estimate")
+            if self._newest is not None:
+                self._node.get_logger().warning(f"{error}; saving the previous estimate")
             return self._newest
 
     def _save_after_error(self) -> None:

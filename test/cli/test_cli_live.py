@@ -10,11 +10,15 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
 
 from symbid_ros.cli.live import given_parameters
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.package_paths import config_file
+from symbid_ros.ros.node_names import unused_name
 
 DEADLINE = 300.0  # s; only a hang takes longer
 MODEL = config_file("symbitron.urdf")
@@ -53,6 +57,7 @@ def test_without_a_robot_it_waits_with_its_page_until_ctrl_c() -> None:
         start_new_session=True,
     )
     try:
+        assert process.stdout.readline().startswith("preparing: ")
         line = process.stdout.readline()
         address = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", line)
         assert address, line
@@ -71,3 +76,33 @@ def test_without_a_robot_it_waits_with_its_page_until_ctrl_c() -> None:
     assert process.returncode == 2
     (failure,) = err.splitlines()
     assert "stopped without an estimate" in failure
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ((), "/identifier is running already: this one is identifier_2; give --namespace"),
+        (("--namespace", "arm"), "preparing: waiting for /arm/identifier, which"),
+    ],
+)
+def test_a_second_identifier_is_not_mixed_with_the_first(domain: int, options, says) -> None:
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    first = Node("identifier", context=context)
+    command = [Path(sys.executable).parent / "symbid", "live", MODEL, *options]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    try:
+        assert process.stdout.readline().startswith("preparing: ")
+        assert process.stdout.readline().startswith(says)
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=DEADLINE)
+        first.destroy_node()
+        context.try_shutdown()
+
+
+def test_names_in_use_get_a_number() -> None:
+    assert unused_name("identifier", {"monitor"}) == "identifier"
+    assert unused_name("identifier", {"identifier", "identifier_2"}) == "identifier_3"

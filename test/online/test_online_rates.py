@@ -29,6 +29,24 @@ def robot_and_bag(request, tmp_path_factory) -> tuple[Path, Path, float]:
     return path, write_bag(random_streams(load_model(path), plan, 1), folder / "log"), plan.rate
 
 
+def test_data_that_end_before_the_first_estimate_are_used(robot_and_bag) -> None:
+    model, bag, _ = robot_and_bag
+    options = IdentifyOptions(prior_percent=25.0, method="map")
+    feed = feed_of(bag)
+    live = OnlineIdentification(
+        InitialState.of(load_model(model), options), feed.selected, Pace(in_step=True)
+    )
+    feed.into(live)
+    list(live._scheduler.partial_blocks())  # pieces of blocks that are complete by now
+    live.advance()
+    assert live.has_news
+    outcome = live.solve()
+    live.close()
+    assert outcome is not None
+    assert outcome.until > feed.messages[0][0]
+    assert not live.has_news  # equal data would give the same estimate again and again
+
+
 def test_live_messages_at_low_rates_give_the_estimate_of_their_bag(robot_and_bag, tmp_path) -> None:
     model, bag, rate = robot_and_bag
     expected = suitable_windows(ALL_WINDOWS, rate)

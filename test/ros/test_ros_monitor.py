@@ -13,6 +13,7 @@ import sys
 import termios
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -23,8 +24,14 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rich.console import Console
 
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.monitor import PARAMETERS, MonitorView, Screen, page
-from symbid_ros.ros.monitor_messages import IdentifierStatus, read_estimate, read_status
+from symbid_ros.ros.monitor import PARAMETERS, MonitorView, Screen, line, page
+from symbid_ros.ros.monitor_messages import (
+    DISABLED,
+    IdentifierStatus,
+    StreamCounts,
+    read_estimate,
+    read_status,
+)
 
 NAMES = ("m", "mc_x", "mc_y", "mc_z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -188,6 +195,36 @@ class TestPage:
             "error: no diagnostics of /identifier for 9 s",
         ]
         assert rendered(view(estimate(link("leg", LEG, STD))), 80)[-1] == "no warning"
+
+
+class TestLog:
+    def test_a_line_is_printed_for_each_change_only(self) -> None:
+        screen = Screen(Console(file=StringIO(), width=200))
+        leg = link("leg", LEG, STD)
+        silent = IdentifierStatus({}, ("warning: no message for over 2 s",), ())
+        nothing = MonitorView("/identifier", None, {}, IdentifierStatus({}, (), ()), 0.0, {})
+        streams = (StreamCounts("/joint_states", 200.0, {}),)
+        ready = replace(nothing, status=IdentifierStatus({"since_solved": "1"}, (), streams))
+        views = nothing, ready, view(estimate(leg)), view(estimate(leg), status=silent)
+        for shown in views:
+            screen.show(shown)
+            screen.show(shown)
+        screen.show(view(estimate(leg, seconds=4)))
+        preparing, move, first, warned, last = screen._console.file.getvalue().splitlines()
+        assert preparing.startswith("preparing: waiting for /identifier")
+        assert move == "ready: move the robot; /joint_states 200 Hz"
+        assert first.startswith("data to 3.0 s")
+        assert first.endswith("no warning")
+        assert warned.endswith("warning: no message for over 2 s")
+        assert last.startswith("data to 4.0 s")
+
+    def test_a_disabled_identifier_is_named(self) -> None:
+        disabled = read_status({"estimate": status("", message=DISABLED, age="1.0")})
+        shown = line(
+            view(estimate(link("leg", LEG, STD)), status=disabled),
+            read_estimate(estimate(link("leg", LEG, STD))),
+        )
+        assert "1.0 s old, disabled by ~/enable; no warning" in shown
 
 
 class Identifier:

@@ -14,6 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from symbid_ros.estimation.archive import load_archive
+from symbid_ros.ros.monitor_messages import DISABLED
 
 
 def offline(bag: Path, out: Path, *options: object) -> dict[str, Any]:
@@ -100,11 +101,11 @@ def test_services_solve_enable_and_reset(graph) -> None:
 
     assert call(graph, SetBool, "/identifier/enable", SetBool.Request(data=False)).success
     known = call(graph, Trigger, "/identifier/solve").message
-    graph.wait_until(lambda: probe.statuses["estimate"].message == "not enabled")
+    graph.wait_until(lambda: probe.statuses["estimate"].message == DISABLED)
     assert call(graph, Trigger, "/identifier/solve").message == known
     assert call(graph, SetBool, "/identifier/enable", SetBool.Request(data=True)).success
 
-    graph.wait_until(lambda: probe.statuses["estimate"].message != "not enabled")
+    graph.wait_until(lambda: probe.statuses["estimate"].message != DISABLED)
     rows = int(probe.values("estimate")["samples"])
     assert call(graph, Trigger, "/identifier/reset").success
     graph.wait_until(lambda: int(probe.values("estimate").get("samples", rows)) < rows)

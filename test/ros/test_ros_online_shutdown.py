@@ -1,5 +1,6 @@
 """An online identifier that ends saves its estimate or reports why there is none."""
 
+import json
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,13 +12,16 @@ from live_feed import feed_of
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool
 
+from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros.identifier_parameters import PARAMETERS
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.parameters import declare
+from symbid_ros.ros.reporting import OK
 from symbid_ros.ros.sensor_topics import SensorTopics
 
 MODEL = config_file("symbitron.xml")
@@ -25,8 +29,8 @@ FILES = {"estimate.json", "information.npz", "model.urdf", "model.xml"}
 
 
 @pytest.fixture
-def learnt(domain: int, simulated, tmp_path: Path) -> Iterator[OnlineIdentifier]:
-    """An identifier with an estimate from two seconds of a log."""
+def fed(domain: int, simulated, tmp_path: Path) -> Iterator[OnlineIdentifier]:
+    """An identifier with two seconds of a log and no estimate yet."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     given = {"model": str(MODEL), "prior_percent": 25.0, "out": str(tmp_path / "out")}
@@ -37,21 +41,70 @@ def learnt(domain: int, simulated, tmp_path: Path) -> Iterator[OnlineIdentifier]
     live = OnlineIdentification(identifier._initial_state, feed.selected, identifier._pace)
     identifier._identification, identifier._selected = live, feed.selected
     feed.into(live)
-    assert identifier._solve() is not None
     yield identifier
     node.destroy_node()
     context.try_shutdown()
 
 
-def test_the_newest_estimate_is_saved_when_an_error_ends_the_node(
-    learnt: OnlineIdentifier, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def age_of(identifier: OnlineIdentifier) -> float:
+    (age,) = (
+        one.values["age"] for one in identifier._diagnostics.statuses() if "age" in one.values
+    )
+    return float(str(age))
+
+
+def stopped() -> Event:
+    stop = Event()
+    stop.set()
+    return stop
+
+
+def test_data_are_saved_though_the_node_ends_before_its_first_estimate(
+    fed: OnlineIdentifier, tmp_path: Path, capsys
 ) -> None:
+    fed.run(stopped())
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+    rows = json.loads((tmp_path / "out" / "estimate.json").read_text())["rows"]
+    assert (rows["filter"], rows["window_s"] > 0) == ("weak", True)
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["solves"], "written to" in summary["saved"]) == (1, True)
+
+
+def test_the_ending_states_why_data_gave_no_estimate(
+    fed: OnlineIdentifier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: OnlineIdentification, *, exactly: bool) -> None:
+        raise DataError("the forces do not match the weight", "E313")
+
+    monkeypatch.setattr(OnlineIdentification, "solve", refuse)
+    with pytest.raises(EstimateError, match="without an estimate: the forces do not match"):
+        fed.run(stopped())
+
+
+def test_a_disabled_identifier_reports_no_fault(fed: OnlineIdentifier) -> None:
+    fed._live.reset()
+    fed._enable(SetBool.Request(data=False), SetBool.Response())
+    statuses = {status.part: status for status in fed._diagnostics.statuses()}
+    for part in ("estimate", "streams"):
+        assert (statuses[part].level, statuses[part].message) == (OK, "disabled by ~/enable")
+    with pytest.raises(EstimateError, match="disabled by ~/enable"):
+        fed.run(stopped())
+
+
+def test_the_newest_estimate_is_saved_when_an_error_ends_the_node(
+    fed: OnlineIdentifier, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert fed._solve() is not None
+    age = age_of(fed)
+    fed._diagnostics._solved -= 5.0  # s without data
+    assert age_of(fed) >= age + 5.0
+
     def fail(_: SensorTopics) -> None:
         raise MemoryError("the graph is too large")
 
     monkeypatch.setattr(SensorTopics, "find", fail)
     with pytest.raises(MemoryError):
-        learnt.run(Event())
+        fed.run(Event())
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
     assert load_archive(tmp_path / "out" / "information.npz")[0].rows.samples > 0
 

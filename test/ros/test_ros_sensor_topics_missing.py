@@ -192,4 +192,6 @@ def test_stamps_of_another_clock_differ_from_leftovers_of_a_jump() -> None:
     assert faults_after(100.2, 100.2) == {}
     assert set(faults_after(100.3, 100.2)) == {"/imu"}  # the stamp does not advance
     assert "header.stamp is zero" in faults_after(100.4, 0.0)["/imu"]
+    # A topic that falls silent keeps this fault, and loses it with valid stamps.
+    assert "header.stamp is zero in 1 messages" in faults.check(streams)["/imu"]
     assert faults_after(100.5, 100.5) == {}

@@ -1,0 +1,42 @@
+"""Prints a node name that no node of the ROS domain has, for commands that start nodes."""
+
+import os
+import sys
+import time
+from collections.abc import Collection
+from itertools import count
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+from symbid_ros.ros.process import use_udp
+
+DISCOVERY = 1.0  # s until running nodes are known
+POLL = 0.05  # s
+
+
+def unused_name(name: str, used: Collection[str]) -> str:
+    """Return a name, with a number behind it if it is in use."""
+    names = (f"{name}_{number}" if number > 1 else name for number in count(1))
+    return next(each for each in names if each not in used)
+
+
+def main() -> int:
+    """Print an unused variant of a name in a namespace, both given as arguments."""
+    name, namespace = sys.argv[1:]
+    use_udp(os.environ, rclpy.get_rmw_implementation_identifier())
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node(f"_unused_name_{os.getpid()}")
+    used: set[str] = set()
+    deadline = time.monotonic() + DISCOVERY
+    while time.monotonic() < deadline:
+        used |= {one for one, space in node.get_node_names_and_namespaces() if space == namespace}
+        time.sleep(POLL)
+    node.destroy_node()
+    rclpy.try_shutdown()
+    print(unused_name(name, used))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
