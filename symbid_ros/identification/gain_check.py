@@ -31,6 +31,8 @@ PLAUSIBLE, LEAST_SQUARE = 0.2, 5.0
 # Most of the held-out error that remains with the factors: its share, and its size in percent.
 # Above that, something else is wrong, which factors follow.
 REMAINS, UNDERSTOOD = 0.9, 10.0
+# The share if the factors of the named joints alone do not explain the log.
+REMAINS_OPEN = 0.85
 # Part of the improvement by factors of all joints that those of the named ones must bring.
 LEAST_PART = 1 / 3
 # A factor is named if it differs from the usual one by these, in deviations and as a share. Units
@@ -105,6 +107,8 @@ def wrong_factors(
             "efforts as they are",
             some,
         )
+    if (every.checked.percent_after or 0.0) > REMAINS_OPEN * before:
+        return None
     line = robot_file_line(
         "effort_scale", *(f"{name}:={1 / at:.3g}" for name, at in unlike.items())
     )
