@@ -199,6 +199,7 @@ def _of_log_or_model(
 ) -> Iterator[_NamesOf]:
     """Yield the names, as renamed, that the log or the model may have."""
     yield _NamesOf("hold_joint", "joint", mapping.held, joints, place)
+    yield _NamesOf("position_scale", "joint", mapping.position_scale, joints, place)
     yield _NamesOf("effort_scale", "joint", mapping.effort_scale, joints, place)
     yield _NamesOf("flip_wrench", "frame or link", sorted(mapping.flipped), frames, place)
     yield _NamesOf("rotate_imu", "frame or link", mapping.rotations, frames, place)
