@@ -1,6 +1,6 @@
 """Compares joint positions with their velocities and with the model's limits."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.options import robot_file_line
 from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.streams import JointStream
 
@@ -40,6 +41,11 @@ FEWEST_EFFORTS = 500  # messages from which noise is judged
 MOST_MISSING = 0.5
 
 
+def position_line(joints: Iterable[str]) -> str:
+    """Return the robot file's line that converts positions and velocities of joints to radians."""
+    return robot_file_line("position_scale", *(f"{name}:={1 / DEGREES:.9g}" for name in joints))
+
+
 @dataclass
 class JointCheck:
     """Moments of velocities, position changes and efforts, and the range of positions.
@@ -56,6 +62,7 @@ class JointCheck:
     _both: FloatArray = field(init=False)
     _low: FloatArray = field(init=False)
     _high: FloatArray = field(init=False)
+    _is_converted: BoolArray = field(init=False)  # by the user's position_scale
     _count: int = 0
     _messages: int = 0
     _without_position: IntArray = field(init=False)
@@ -77,6 +84,7 @@ class JointCheck:
         self._is_negative = np.zeros(joints, dtype=bool)
         self._moved = np.zeros((2, joints), dtype=np.int64)
         self._efforts = np.zeros((3, joints))
+        self._is_converted = np.zeros(joints, dtype=bool)
 
     def add(self, joints: JointStream, during: tuple[int, int] = ALWAYS) -> None:
         """Add messages in the order of their stamps; messages of other joints are ignored.
@@ -85,6 +93,7 @@ class JointCheck:
         """
         if joints.names != self.names or len(joints.stamp) < 3:
             return
+        self._is_converted = np.array([name in joints.position_scale for name in self.names])
         inside = slice(*np.searchsorted(joints.stamp, during).tolist())
         is_finite = np.isfinite(joints.effort[inside])
         self._messages += len(is_finite)
@@ -270,14 +279,19 @@ class JointCheck:
         off = moves & (correlation > LEAST_CORRELATION)
         for factor, what in ((1 / DEGREES, "positions"), (DEGREES, "velocities")):
             like = off & (scale / factor > 1 / ALIKE) & (scale / factor < ALIKE)
+            if what == "positions":
+                like &= ~self._is_converted  # then it is the velocities that have another unit
             if like.any():
                 places = np.flatnonzero(like).tolist()
+                remedy = "use rad and rad/s"
+                if what == "positions":
+                    remedy += f", or write {position_line(self.names[i] for i in places)}"
                 found.append(
                     Finding.of(
                         self.topic,
                         Kind.UNIT,
                         f"{what} of {self._list_names(places)} are {DEGREES:.1f} times what the "
-                        "other quantity implies, as if in degrees; use rad and rad/s",
+                        f"other quantity implies, as if in degrees; {remedy}",
                         {f"{self.names[i]}/scale": float(scale[i]) for i in places},
                         Severity.UNUSABLE if what == "positions" else Severity.WARNING,
                     )
@@ -311,11 +325,13 @@ class JointCheck:
 
     def _degree_findings(self, model: RobotModel) -> list[Finding]:
         """Return a finding if positions are within the limits only when read as degrees."""
-        checked, reached = 0, list[float]()
+        checked, reached, hinges = 0, list[float](), list[str]()
         for index, name in enumerate(self.names):
             if name not in model.joint_names or self._low[index] > self._high[index]:
                 continue
             joint = model.joints[model.joint_names.index(name)]
+            if joint.kind == "revolute":
+                hinges.append(name)
             if joint.kind != "revolute" or not np.isfinite(joint.upper - joint.lower):
                 continue
             low, high = float(self._low[index]), float(self._high[index])
@@ -338,7 +354,8 @@ class JointCheck:
                 self.topic,
                 Kind.UNIT,
                 f"positions of {joints} in {model.source} and reach {largest:.3g}, as if in "
-                'degrees; use rad, or type="continuous" in the model for joints that turn that far',
+                f"degrees; use rad and rad/s, or write {position_line(hinges)}, or correct the "
+                "limits in the model if the joints turn that far",
                 {"joints": outside, "largest": largest},
             )
         ]

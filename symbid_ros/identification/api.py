@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from symbid_ros.arrays import FloatArray
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.diagnosis import doctor
-from symbid_ros.diagnosis.findings import Diagnosis
+from symbid_ros.diagnosis.findings import Diagnosis, Kind
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
@@ -25,6 +25,7 @@ from symbid_ros.identification.joint_readings import find_readings
 from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.position_units import find_degrees
 from symbid_ros.identification.result import LogInformation, Result
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.load import load_model
@@ -105,8 +106,18 @@ def diagnose(
     robot = log.applied_to(robot)
     options = with_assumed_contacts(options, robot, log)
     robot = with_robot_options(robot, options)
-    segments = first_segments(log, robot)
-    found = find_gravity(segments, robot) if searches_gravity(options, robot) else None
+    found, segments = None, first_segments(log, robot)
+    if not robot.floating and (degrees := find_degrees(segments, robot)) is not None:
+        diagnosis = doctor.diagnose(log, robot)
+        if any(one.kind is Kind.UNIT for one in diagnosis.findings):
+            return diagnosis  # which says so
+        of_streams = doctor.diagnose(log)
+        left_out = "all checks against the model: they depend on unit"
+        return replace(of_streams, left_out=(left_out,)).with_finding(
+            degrees.finding(of_streams.streams[0].topic)
+        )
+    if searches_gravity(options, robot):
+        found = find_gravity(segments, robot)
     if found is None:
         diagnosis = doctor.diagnose(log, robot)
         readings = None if robot.floating else find_readings(segments, robot)

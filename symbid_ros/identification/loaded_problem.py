@@ -34,6 +34,7 @@ from symbid_ros.identification.log_reading import (
     with_reversed,
 )
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.position_units import refuse_degrees
 from symbid_ros.identification.prior_options import (
     build_pseudo_measurements,
     choose_prior,
@@ -255,6 +256,8 @@ def _corrected(
     """Return the options as the log says they should be; the same if it contradicts none."""
     if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
         return with_reversed(options, wrong, dataset.source)
+    if not options.unchecked:
+        refuse_degrees(dataset.segments, parameters.model, dataset.source)
     if options.drive_gains:  # signs and units of the efforts are unknown
         return options
     return with_found_gravity(options, parameters.model, dataset.segments, dataset.source)

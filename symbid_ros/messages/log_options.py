@@ -110,6 +110,12 @@ class LogOptions:
         group=MAPPING,
         unset="joints that the log lacks are held at 0, with a warning",
     )
+    position_scale: tuple[str, ...] = option(
+        (),
+        "Joint and the rad (m) in one unit of its positions and velocities, such as "
+        "elbow_joint:=0.0174533 for degrees.",
+        group=MAPPING,
+    )
     effort_scale: tuple[str, ...] = option(
         (),
         "Joint and the Nm (N) in one unit of its efforts, such as elbow_joint:=-0.11 for a "

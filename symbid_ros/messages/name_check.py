@@ -200,6 +200,7 @@ def _of_log_or_model(
     """Yield the names, as renamed, that the log or the model may have."""
     yield _NamesOf("hold_joint", "joint", mapping.held, joints, place)
     yield _NamesOf("flip_joint", "joint", sorted(mapping.flipped_joints), joints, place)
+    yield _NamesOf("position_scale", "joint", mapping.position_scale, joints, place)
     yield _NamesOf("effort_scale", "joint", mapping.effort_scale, joints, place)
     yield _NamesOf("flip_wrench", "frame or link", sorted(mapping.flipped), frames, place)
     yield _NamesOf("rotate_imu", "frame or link", mapping.rotations, frames, place)

@@ -35,8 +35,8 @@ class SensorMapping:
         Joints whose positions and velocities have the opposite sign.
     flipped : frozenset of str
         Frames whose sensor measures the wrench of the robot on its environment.
-    effort_scale : mapping of str to float
-        Nm (N) per recorded unit, by joint.
+    position_scale, effort_scale : mapping of str to float
+        rad (m) and Nm (N) per recorded unit, by joint.
     held : mapping of str to float
         Constant positions of joints that are not recorded, rad (m).
     rotations : mapping of str to (3, 3) float64
@@ -56,6 +56,7 @@ class SensorMapping:
     joints: Mapping[str, str] = field(default_factory=dict)
     flipped_joints: frozenset[str] = frozenset()
     flipped: frozenset[str] = frozenset()
+    position_scale: Mapping[str, float] = field(default_factory=dict)
     effort_scale: Mapping[str, float] = field(default_factory=dict)
     held: Mapping[str, float] = field(default_factory=dict)
     rotations: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -79,6 +80,7 @@ class SensorMapping:
             _pairs("rename_joint", options.rename_joint, str),
             frozenset(options.flip_joint),
             frozenset(options.flip_wrench),
+            _pairs("position_scale", options.position_scale, _factor),
             _pairs("effort_scale", options.effort_scale, _factor),
             _pairs("hold_joint", options.hold_joint, _finite),
             _pairs("rotate_imu", options.rotate_imu, _rotation),
@@ -102,8 +104,16 @@ class SensorMapping:
         renamed = {model: recorded for recorded, model in self.joints.items()}
         return frozenset(renamed.get(name, name) for name in names if name not in self.held)
 
+    def with_radians(self, stream: JointStream) -> JointStream:
+        """Return joint states, named as in the log, with positions and velocities in rad (m)."""
+        names = [self.joints.get(name, name) for name in stream.names]
+        scale = np.array([self.position_scale.get(name, 1.0) for name in names])
+        if (scale == 1.0).all():
+            return stream
+        return replace(stream, position=stream.position * scale, velocity=stream.velocity * scale)
+
     def converted_joints(self, stream: JointStream) -> JointStream:
-        """Return joint states with the model's names and units."""
+        """Return joint states with the model's names and efforts in Nm (N)."""
         names = tuple(self.joints.get(name, name) for name in stream.names)
         scale = np.array([self.effort_scale.get(name, 1.0) for name in names])
         effort = stream.effort if (scale == 1.0).all() else stream.effort * scale
@@ -112,7 +122,13 @@ class SensorMapping:
             stream = replace(
                 stream, position=stream.position * sign, velocity=stream.velocity * sign
             )
-        return replace(stream, names=names, effort=effort, effort_scale=self.effort_scale)
+        return replace(
+            stream,
+            names=names,
+            effort=effort,
+            effort_scale=self.effort_scale,
+            position_scale=self.position_scale,
+        )
 
     def converted_imu(self, stream: ImuStream) -> ImuStream:
         """Return readings in the axes of the model's frame."""
@@ -232,6 +248,7 @@ def _pairs(option: str, entries: tuple[str, ...], read: Callable[[str], T | None
 EXAMPLES = {
     "rename_frame": "NAME_IN_LOG:=NAME_IN_MODEL, such as imu_sensor:=imu_link",
     "rename_joint": "NAME_IN_LOG:=NAME_IN_MODEL, such as j1:=shoulder_pan_joint",
+    "position_scale": "JOINT:=FACTOR, such as elbow_joint:=0.0174533 for degrees",
     "effort_scale": "JOINT:=FACTOR, such as elbow_joint:=-0.11",
     "hold_joint": "JOINT:=POSITION, such as wrist_joint:=0.5",
     "plate_link": "TOPIC:=LINK, such as /plate_1/wrench:=left_foot",

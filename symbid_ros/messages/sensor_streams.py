@@ -116,11 +116,10 @@ def build_joints(
 ) -> JointStream:
     """Return the joint states of a robot, merged from its topics, as the model defines them."""
     joints = [
-        without_spikes(
-            chosen.unwrapper.unwrapped(build_joint_stream(part, tallies[topic])), tallies[topic]
-        )
+        without_spikes(chosen.unwrapper.unwrapped(read), tallies[topic])
         for topic in chosen.joints
         for part in split_by_joints(decoders[topic], chosen.recorded_joints, tallies[topic])
+        for read in [chosen.mapping.with_radians(build_joint_stream(part, tallies[topic]))]
     ]
     merged = merged_joints(joints, source, chosen.recorded_joints)
     return chosen.held_joints.added_to(chosen.mapping.converted_joints(merged), source)

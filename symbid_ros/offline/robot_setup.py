@@ -6,6 +6,7 @@ wrong signs and units, as in `symbid bag doctor`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from statistics import median
 
@@ -14,8 +15,10 @@ from symbid_ros.atomic_write import write_text
 from symbid_ros.bags import bag_log, count_messages, join_names
 from symbid_ros.choices import Base
 from symbid_ros.diagnosis.doctor import diagnose
-from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
 from symbid_ros.diagnosis.forces import GAINS, MILLI, common_unit
+from symbid_ros.diagnosis.joint_checks import DEGREES
+from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
 from symbid_ros.identification.assumed_contacts import assumed_contacts, leg_ends
@@ -23,7 +26,8 @@ from symbid_ros.identification.base_gravity import find_gravity, searches_gravit
 from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.joint_readings import find_readings
-from symbid_ros.identification.log_reading import first_segments
+from symbid_ros.identification.log_reading import MINUTE, first_segments
+from symbid_ros.identification.position_units import find_degrees
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
 from symbid_ros.messages.types import IMU, JOINT_STATE, POSE, WRENCH
@@ -92,6 +96,7 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     else:
         inspector.find_drives()
     inspector.find_wrist_sensors()
+    inspector.convert_degrees()
     inspector.correct_joints()
     inspector.find_mounting()
     inspector.correct_signs_and_units()
@@ -282,6 +287,28 @@ class _Inspector:
                 f"{100 * share:.0f} % of the force is that of a body of {mass:.3g} kg.",
             )
 
+    def convert_degrees(self) -> None:
+        """Convert positions that their velocities, limits or the efforts show to be in degrees."""
+        robot = with_robot_options(self.robot, self._given)
+        log = bag_log(self.bags, robot, TopicSelection.of(self.setup.log_options))
+        checks = StreamChecks(robot)
+        try:
+            for piece in islice(log.slices(MINUTE, warn=False), 1):
+                checks.take(piece)
+        except SymbidError:
+            return  # which the diagnosis states
+        hinges = {joint.name for joint in robot.joints if joint.kind == "revolute"}
+        names = [name for name in robot.measured_joint_names if name in hinges]
+        in_degrees = [one for one in checks.unit_findings() if _is_of_degrees(one, checks)]
+        if in_degrees:
+            single = [name for name in names if f"{name}/scale" in in_degrees[0].figures]
+            names = single or names
+        elif find_degrees(first_segments(log, robot), robot) is None:
+            return
+        for name in names:
+            self.setup.add("position_scale", f"{name}:={1 / DEGREES:.9g}")
+        self.setup.note("position_scale", "CHECK: positions are taken to be in degrees.")
+
     def correct_joints(self) -> None:
         """Exchange and reverse joints of the log if the efforts are then explained.
 
@@ -461,6 +488,12 @@ CORRECTABLE = {
     Kind.CONTRADICTION,
     Kind.WEIGHT,
 }
+
+
+def _is_of_degrees(finding: Finding, checks: StreamChecks) -> bool:
+    """Return whether a finding says that positions of joints are in degrees."""
+    is_unit = finding.kind is Kind.UNIT and finding.severity is Severity.UNUSABLE
+    return is_unit and finding.stream == checks.joint_topic
 
 
 def _figures(found: Diagnosis) -> dict[str, float]:

@@ -29,8 +29,8 @@ class JointStream:
         header.stamp in nanoseconds.
     position, velocity, effort : (N, J) float64
         rad or m, rad/s or m/s, Nm or N; NaN where the message has no value.
-    effort_scale : mapping of str to float
-        Factors by which the user's options have converted efforts of joints.
+    effort_scale, position_scale : mapping of str to float
+        Factors by which the user's options have converted efforts and positions of joints.
     """
 
     topic: str
@@ -40,6 +40,7 @@ class JointStream:
     velocity: FloatArray
     effort: FloatArray
     effort_scale: Mapping[str, float] = field(default_factory=dict)
+    position_scale: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -116,6 +116,22 @@ def test_efforts_in_newton_millimetres_get_one_exact_scale(tmp_path) -> None:
     assert any("mNm" in line for line in setup.comments["effort_scale"])
 
 
+@pytest.mark.parametrize("velocity_unit", [1.0, np.degrees(1.0)])
+def test_degrees_are_converted(tmp_path, velocity_unit) -> None:
+    """Velocities may be in rad/s nevertheless, which only the doctor compares."""
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 20.0, 1, friction=0.05).joints
+    columns = read.stamp, np.degrees(read.position), velocity_unit * read.velocity, read.effort
+    messages = [
+        joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in zip(*columns, strict=True)
+    ]
+    setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    found = entries(setup.options["position_scale"])
+    assert found == dict.fromkeys(arm.joint_names, "0.0174532925")
+    assert "effort_scale" not in setup.options
+    assert setup.is_usable
+
+
 def test_an_effort_far_beyond_its_limit_is_in_millinewton_metres(tmp_path) -> None:
     arm = load_model(ur5_urdf(), "fixed")
     factors = np.array([1, 1, 1, 1, 1, 1e3])

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from arm_log import arm_streams
 from documented_robots import ur5_urdf
+from expected_errors import raises_code
 
+import symbid_ros as sy
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification import position_units
+from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
@@ -72,6 +76,32 @@ def test_an_effort_beyond_its_limit_is_named_if_friction_hides_its_load(ur5) -> 
     assert (finding.kind, finding.severity) == (Kind.TORQUE_GAIN, Severity.WARNING)
     assert list(finding.figures) == [f"{name}/times_limit"]
     assert f'for mNm write effort_scale: ["{name}:=0.001"]' in finding.message
+
+
+def in_degrees(streams: Streams) -> Log:
+    joints = streams.joints
+    moved = {"position": np.degrees(joints.position), "velocity": np.degrees(joints.velocity)}
+    return Log.from_streams(replace(streams, joints=replace(joints, **moved)))
+
+
+@pytest.mark.parametrize("has_limits", [True, False])
+def test_degrees_are_found_and_refused_with_and_without_limits(ur5, has_limits) -> None:
+    limits = {} if has_limits else {"lower": -np.inf, "upper": np.inf}
+    robot = replace(ur5, joints=tuple(replace(joint, **limits) for joint in ur5.joints))
+    log = in_degrees(arm_streams(ur5, SECONDS, 1, friction=0.05))
+    (finding,) = sy.diagnose(robot, log).findings
+    assert (finding.kind, finding.severity) == (Kind.UNIT, Severity.UNUSABLE)
+    assert '"shoulder_pan_joint:=0.0174532925", "shoulder_lift_joint:=' in finding.message
+    with raises_code("E517", "degrees.*position_scale"):
+        sy.identify(robot, log)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.05, 0.2])
+def test_radians_are_not_taken_for_degrees(ur5, friction, monkeypatch) -> None:
+    """Not even if joints turn so often that it is asked."""
+    monkeypatch.setattr(position_units, "TURN", 0.0)
+    log = Log.from_streams(arm_streams(ur5, SECONDS, 1, friction=friction))
+    assert position_units.find_degrees(first_segments(log, ur5), ur5) is None
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -94,6 +94,28 @@ def test_a_foreign_log_reads_as_the_models_own(bag, foreign, model, options) -> 
         np.testing.assert_allclose(getattr(after, field), getattr(before, field), atol=1e-9)
 
 
+def test_wrapped_degrees_become_continuous_radians(bag, model, names, tmp_path) -> None:
+    """As of a joint that turns past 180 degrees."""
+    joint = names["joint"]
+
+    def in_degrees(messages: Messages) -> None:
+        place = messages.joints.index(joint)
+        angle = np.degrees(messages.records["position"][:, place]) + 170.0
+        angle += 20.0 * np.sin(np.linspace(0.0, 20.0, len(angle)))
+        messages.records["position"][:, place] = (angle + 180.0) % 360.0 - 180.0
+        messages.records["velocity"][:, place] *= 180.0 / np.pi
+
+    recorded = edit_bag(bag, tmp_path / "bag", {"/joint_states": in_degrees})
+    scale = (f"{joint}:={np.radians(1.0)}",)
+    original = load_bag(bag, model).streams().joints
+    converted = load_bag(recorded, model, position_scale=scale).streams().joints
+    column = converted.names.index(joint)
+    turned = np.radians(170.0 + 20.0 * np.sin(np.linspace(0.0, 20.0, len(converted.stamp))))
+    added = converted.position[:, column] - original.position[:, column] - turned
+    np.testing.assert_allclose(added, added[0], atol=1e-9)
+    np.testing.assert_allclose(converted.velocity, original.velocity, atol=1e-9)
+
+
 def test_live_messages_of_a_foreign_driver_are_accepted(foreign, model, options) -> None:
     feed = feed_of(foreign)
     mapping = SensorMapping.of(options)
@@ -171,6 +193,7 @@ def test_joints_of_another_robot_are_refused_not_held(bag, model) -> None:
         ("rename_joint", "a"),
         ("rename_joint", ":=b"),
         ("rename_frame", "a:="),
+        ("position_scale", "a:=0"),
         ("effort_scale", "a:=0"),
         ("effort_scale", "a:=nan"),
         ("effort_scale", "a:=1e300"),
@@ -194,6 +217,7 @@ UNKNOWN = [
     ("rename_joint", "nosuch:={joint}"),
     ("rename_joint", "{joint}:=nosuch"),
     ("hold_joint", "nosuch:=0.5"),
+    ("position_scale", "nosuch:=2"),
     ("effort_scale", "nosuch:=2"),
     ("flip_joint", "nosuch"),
     ("flip_wrench", "nosuch"),
