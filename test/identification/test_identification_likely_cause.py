@@ -151,3 +151,18 @@ def test_an_alarm_names_joints_that_the_log_lacks(robot, is_moving):
     named = [one for one in found.alarms if one.startswith(f"the log lacks joint_{JOINT}")]
     assert len(named) == is_moving
     assert bool(found.alarms) == is_moving
+
+
+@pytest.mark.parametrize("stride", [1, 5])
+def test_a_low_rate_is_named_if_nothing_else_explains_the_residuals(robot, stride):
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    joints = log_of(robot, truth, extra=strange, seconds=60.0).streams().joints
+    log = sy.Log.from_arrays(
+        robot,
+        time=joints.stamp[::stride] * 1e-9,
+        position=joints.position[::stride],
+        effort=joints.effort[::stride],
+    )
+    alarms = sy.identify(robot, log, no_holdout=True, unchecked=True).alarms
+    (alarm,) = (one for one in alarms if "none of these explains it" in one)
+    assert ("the rate of 40 Hz may be too low for the motion" in alarm) == (stride == 5)
