@@ -37,14 +37,11 @@ from symbid_ros.signals.defects import (
     check_clock,
     seconds,
 )
-from symbid_ros.signals.segments import MINUTE, SECOND, WALL_CLOCK
+from symbid_ros.signals.segments import SECOND, WALL_CLOCK, shift_behind
 from symbid_ros.signals.streams import WHOLE_LOG, Slice, TimeRange
 
 # Bytes to buffer for a topic that lags, because it is silent or recorded with a delay.
 MAX_BUFFERED = 256 << 20
-
-# Between recordings with the same stamps, of which the later one moves, ns.
-SHORTEST_PAUSE = 10 * SECOND
 
 DEFAULT_SELECTION = TopicSelection()
 
@@ -204,7 +201,7 @@ class _Slicer:
                 "leave copies out, or identify one, and give its `information` with the other",
                 "E530",
             )
-        return MINUTE * -(-(back + SHORTEST_PAUSE) // MINUTE)
+        return shift_behind(min(heads), self._processed_until)
 
     def _add_flags(self, block: MessageBlock) -> None:
         """Add the flags of a block, each with the stamp of the last joint state before it."""

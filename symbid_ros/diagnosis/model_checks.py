@@ -181,6 +181,13 @@ def _reason_to_stop(checks: ModelChecks, statistics: ModelStatistics) -> str:
     kinds = {one.kind for one in checks.findings}
     if Kind.WRENCH_SIGN in kinds:
         return "they depend on the wrist sensor, whose sign is wrong"
+    for evidence in statistics.payloads:
+        # Taken for a contact, such a wrench loads the joints with the opposite of the payload.
+        if not evidence.is_named and evidence.is_payload and evidence.sensor.startswith("-"):
+            return (
+                f"they depend on the wrench at {evidence.frame}, which is that of a payload with "
+                "the opposite sign"
+            )
     # A few degrees turn gravity by as much as a wrong wrench would.
     if Kind.IMU_MOUNTING in kinds or any(
         one.severity is Severity.UNUSABLE for one in checks.findings

@@ -5,7 +5,6 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -26,7 +25,14 @@ from symbid_ros.signals.alignment import align_checked, warn_once
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay, Smoothing, row_inflation
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sampled_rows import RowBuilder, sampled_rows
-from symbid_ros.signals.segments import RemoteSegments, Segment, cut_to, fingerprint
+from symbid_ros.signals.segments import (
+    WALL_CLOCK,
+    RemoteSegments,
+    Segment,
+    cut_to,
+    fingerprint,
+    shift_behind,
+)
 from symbid_ros.signals.sensor_noise import MOTION, Channel
 from symbid_ros.signals.sensor_samples import PROBE_PERIOD, build_samples, probed
 from symbid_ros.signals.weak_form import (
@@ -147,7 +153,9 @@ class AlignedLog:
 
 
 class ChainedSegments:
-    """Segments of several logs with different stamps, in the order of time.
+    """Segments of several logs, in the order of time.
+
+    A log of a simulated clock that overlaps with one before it is moved behind all of those.
 
     Parameters
     ----------
@@ -156,32 +164,46 @@ class ChainedSegments:
     Attributes
     ----------
     spans : list of (int, int)
-        First and last stamp of each log, in the order given, ns.
+        First and last stamp of each moved log, in the order given, ns.
 
     Raises
     ------
     DataError
-        When stamps of two logs overlap.
+        When stamps of a wall clock overlap.
     """
 
     def __init__(self, logs: Sequence[Iterable[Segment]]) -> None:
         self.spans = spans = list[tuple[int, int]]()
+        shifts, seconds = [], set[int]()
         for log in logs:
-            ends = [(int(one.stamp[0]), int(one.stamp[-1])) for one in log]
-            spans.append((ends[0][0], ends[-1][1]))
+            own, ends = set[int](), list[tuple[int, int]]()
+            for one in log:
+                ends.append((int(one.stamp[0]), int(one.stamp[-1])))
+                own |= fingerprint(one)
+            (start, _), (_, stop), shift = ends[0], ends[-1], 0
+            if any(start <= last and first <= stop for first, last in spans):
+                if start >= WALL_CLOCK:
+                    raise DataError(
+                        "the stamps of two logs overlap, so that their payloads cannot be told "
+                        "apart; identify one of them, save it, and give its `information` with "
+                        "the other",
+                        "E530",
+                    )
+                if again := seconds & own:
+                    raise DataError(
+                        f"{len(again)} s of two logs are the same; leave copies out", "E530"
+                    )
+                shift = shift_behind(start, max(last for _, last in spans))
+            seconds |= own
+            shifts.append(shift)
+            spans.append((start + shift, stop + shift))
         order = sorted(range(len(logs)), key=lambda index: spans[index])
-        for one, two in pairwise(order):
-            if spans[one][1] >= spans[two][0]:
-                raise DataError(
-                    "the stamps of two logs overlap, so that their payloads cannot be told apart; "
-                    "identify one of them, save it, and give its `information` with the other",
-                    "E530",
-                )
-        self._logs = [logs[index] for index in order]
+        self._logs = [(logs[index], shifts[index]) for index in order]
 
     def __iter__(self) -> Iterator[Segment]:
-        for log in self._logs:
-            yield from log
+        for log, shift in self._logs:
+            for segment in log:
+                yield replace(segment, stamp=segment.stamp + shift) if shift else segment
 
 
 def joined_segments(segments: Iterable[Segment]) -> tuple[Segment, ...]:

@@ -14,6 +14,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS, TYPICAL_ERRORS
 from symbid_ros.diagnosis.findings import Kind
+from symbid_ros.diagnosis.timing import SLOWEST, TOLERANCE
 from symbid_ros.dynamics.regressor import Rows, coulomb_column, friction_state, stribeck_column
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
@@ -221,6 +222,8 @@ class CandidateRows:
         Group of each row.
     covariance : (n, n) float64
         Σ with which the estimate weights rows.
+    rate : float
+        Rate of the log, Hz.
     """
 
     model: RobotModel
@@ -233,6 +236,7 @@ class CandidateRows:
     valid: BoolArray
     group: IntArray
     covariance: FloatArray
+    rate: float
 
     @classmethod
     def of(cls, loaded: LoadedProblem, found: Identification) -> "CandidateRows | None":
@@ -272,6 +276,7 @@ class CandidateRows:
             valid,
             group,
             solver.posterior.covariance,
+            first.rate,
         )
 
     def explanation(self, worst: UnexplainedForce) -> str:
@@ -279,7 +284,15 @@ class CandidateRows:
         cause = self.best_cause(worst.coordinate)
         if cause is None:
             tried = ", ".join(EFFECTS[one.kind] for one in self.candidates)
-            return f"none of these explains it: {tried}; check link lengths and frames of the model"
+            slow = ""
+            if self.rate < TOLERANCE * SLOWEST:
+                slow = (
+                    f"the rate of {self.rate:.3g} Hz may be too low for the motion: raise it, or "
+                )
+            return (
+                f"none of these explains it: {tried}; {slow}check link lengths and frames of the "
+                "model"
+            )
         likely = "likely cause" if cause.gain > MOSTLY else "a part of it"
         left = force_text(worst.size * cause.remains, worst.unit)
         return (

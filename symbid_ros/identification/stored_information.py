@@ -12,7 +12,10 @@ from symbid_ros.identification.joint_terms import rows_of
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.warming import is_change
+from symbid_ros.signals.sensor_errors import DRIVE_GAIN
 
+# Names of differing parameters that an error lists.
+MOST_NAMED = 3
 ALIKE = "identify both with the same model, joint terms and sensor errors"
 
 
@@ -36,6 +39,9 @@ def merged_observations(
             "leave `information` out, or name another log",
             "E506",
         )
+    one, other = first[0].layout, second[0].layout
+    _require_alike(one.coordinates, other.coordinates, named)
+    _require_alike(one.parameters, other.parameters, named)
     try:
         both = tuple(earlier[one.window].merge(one) for one in first if one.window in earlier)
     except DataError as error:
@@ -47,6 +53,21 @@ def merged_observations(
             "E505",
         )
     return both
+
+
+def _require_alike(one: tuple[str, ...], other: tuple[str, ...], named: str) -> None:
+    """Raise an error that says which names only one of two runs has, if any."""
+    only = [name for name in one if name not in other]
+    only += [name for name in other if name not in one]
+    if not only:
+        return
+    more = f" and {len(only) - MOST_NAMED} more" if len(only) > MOST_NAMED else ""
+    has_gain = any(name.endswith(f"/{DRIVE_GAIN}") for name in only)
+    advice = "give both runs the same `drive_gain`, such as none" if has_gain else ALIKE
+    raise EstimateError(
+        f"{named}: only one of both runs has {', '.join(only[:MOST_NAMED])}{more}; {advice}",
+        "E505",
+    )
 
 
 def require_constant_friction(*runs: tuple[Observations, ...]) -> None:
@@ -98,6 +119,8 @@ def check_layout(
     combined = combined_coordinates(parameters.model)
     for one in observations:
         if (one.layout.parameters[:p], one.layout.coordinates) != (parameters.names, coordinates):
+            _require_alike(one.layout.coordinates, coordinates, named)
+            _require_alike(one.layout.parameters[:p], parameters.names, named)
             raise EstimateError(f"{named}: {INCOMPATIBLE}; {ALIKE}", "E505")
         if one.layout.combined != combined:
             raise EstimateError(

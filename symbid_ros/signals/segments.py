@@ -16,6 +16,8 @@ MINUTE = 60 * SECOND
 # Stamps after September 2001 come from a wall clock, which shows each second once. Simulated time,
 # and the clock of a computer that has not been set, start at 0 in every run.
 WALL_CLOCK = SECOND * SECOND
+# Shortest pause between two recordings of which one is moved behind the other, ns.
+SHORTEST_PAUSE = 10 * SECOND
 HELD_OUT = 0.25  # share of a log that is held out
 
 
@@ -95,6 +97,14 @@ def cut_to(segments: Sequence[Segment], start: int, stop: int) -> Iterator[Segme
         first, last = np.searchsorted(segment.stamp, [start, stop]).tolist()
         if last > first:
             yield segment.cut(first, last)
+
+
+def shift_behind(start: int, end: int) -> int:
+    """Return by how much stamps from ``start`` on move so that they come after ``end``, ns.
+
+    They move by whole minutes, so that :func:`fingerprint` stays the same.
+    """
+    return MINUTE * -(-(end - start + SHORTEST_PAUSE) // MINUTE)
 
 
 def fingerprint(segment: Segment) -> frozenset[int]:

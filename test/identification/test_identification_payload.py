@@ -6,7 +6,7 @@ from drive_logs import arm, drives, log_of
 from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
-from symbid_ros.errors import DataError, ModelError, OptionError
+from symbid_ros.errors import DataError, EstimateError, ModelError, OptionError
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.payload import Payload
@@ -70,11 +70,41 @@ def test_the_holdout_knows_the_payload(robot, loaded, text):
     assert result.estimate.holdout.percent_after < 1.0
 
 
-def test_overlapping_stamps_are_refused(robot, text):
-    log = log_with(robot)
+def test_overlapping_stamps_of_a_wall_clock_are_refused(robot, text):
+    log, other = (log_with(robot, start=1.7e9, seed=seed) for seed in (0, 1))
     with pytest.raises(DataError, match="overlap") as refusal:
+        sy.identify(robot, log, payload=[(other, text)], unchecked=True)
+    assert refusal.value.code == "E530"
+
+
+def test_copies_of_a_log_are_refused(robot, text):
+    log = log_with(robot)
+    with pytest.raises(DataError, match="leave copies out") as refusal:
         sy.identify(robot, log, payload=[(log, text)], unchecked=True)
     assert refusal.value.code == "E530"
+
+
+def test_logs_whose_clocks_start_at_zero_are_kept_apart(robot, loaded, text):
+    fields = {"unchecked": True, "no_holdout": True, "joint_terms": "none"}
+    without = log_with(robot)
+    found, expected = (
+        sy.identify(
+            robot, without, payload=[(log_with(loaded, start=start, seed=1), text)], **fields
+        )
+        for start in (0.0, 120.0)
+    )
+    assert_equal(found, expected)
+
+
+def test_information_with_and_without_drive_gains_names_them(robot):
+    fields = {"unchecked": True, "no_holdout": True, "joint_terms": "none"}
+    first = sy.identify(robot, log_with(robot), **fields)
+    joint = robot.joint_names[-1]
+    second = sy.identify(robot, log_with(robot, seed=1), drive_gain=joint, **fields)
+    with pytest.raises(EstimateError, match=f"only one of both runs has {joint}/drive_gain") as one:
+        sy.merge([first.information, second.information])
+    assert one.value.code == "E505"
+    assert "`drive_gain`" in str(one.value)
 
 
 def test_the_doctor_knows_the_payload(robot, loaded, text, caplog):

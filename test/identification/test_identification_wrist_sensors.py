@@ -123,6 +123,14 @@ def test_a_sensor_whose_gain_contradicts_the_efforts_raises_an_alarm(arm, measur
         assert abs(value - gain) < 3 * std < 0.15
 
 
+def test_a_reversed_sensor_that_is_not_named_does_not_accuse_the_efforts(arm, measured):
+    found = diagnose(arm, log_of(arm, measured, -measured.wrench))
+    (finding,) = found.findings
+    assert finding.kind is Kind.WRIST_SENSOR
+    assert "give `wrist_sensor` -tool0" in finding.message
+    assert any("the wrench at tool0" in one and "torque_gain" in one for one in found.left_out)
+
+
 def late_log(arm, measured, late):
     """Return the log of a sensor whose wrenches come ``late`` samples after the motion."""
     return log_of(arm, measured, np.roll(measured.wrench, late, axis=0))
