@@ -174,7 +174,8 @@ class ChainedSegments:
             if spans[one][1] >= spans[two][0]:
                 raise DataError(
                     "the stamps of two logs overlap, so that their payloads cannot be told apart; "
-                    "identify one of them, save it, and give its `information` with the other",
+                    "record one after the other, with a clock that goes on, or identify one of "
+                    "them without `drive_gain`, and give its `information` with the other",
                     "E530",
                 )
         self._logs = [logs[index] for index in order]
