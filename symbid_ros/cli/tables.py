@@ -307,7 +307,7 @@ def _verdict_lines(estimate: Estimate, verdict: Verdict) -> list[RenderableType]
         what = f"at most {worst}" if worst.size else "nothing unexplained"
         if not verdict.is_coloured:  # else an alarm says so
             lines.append(Text(f"{what}, apart from noise"))
-    if scale := verdict.describe_mass_scale(floating=estimate.base != "fixed"):
+    if scale := verdict.describe_mass_scale(floating=estimate.is_floating):
         lines.append(Text(spelled(scale, flag)))
     if not verdict.alarms:
         return [*lines, Text("no alarm", style="green")]

@@ -36,6 +36,7 @@ from symbid_ros.model.fixed_frames import FixedTransform, with_fixed_frames
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.offline.bags import measured_types
 from symbid_ros.package_paths import PACKAGE, package_version
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment, cut_to
@@ -102,7 +103,7 @@ def describe_bag(location: str, options: str) -> dict[str, Any]:
     return {
         "first": min((int(one.min()) for one in stamps), default=None),
         "length": round(1e9 * info.duration),
-        "types": sorted({topic.msgtype for topic in count_messages([path])}),
+        "types": sorted(measured_types(count_messages([path]))),
         "frames": [
             [one.parent, one.child, one.rotation.tolist(), one.translation.tolist()]
             for one in log.fixed_frames()

@@ -3,7 +3,12 @@
 from dataclasses import dataclass, field
 
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, merged
-from symbid_ros.diagnosis.model_checks import TOO_SHORT, ModelChecks, check_model
+from symbid_ros.diagnosis.model_checks import (
+    TOO_SHORT,
+    ModelChecks,
+    check_model,
+    with_rotation_line,
+)
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, fatal_finding, unusable
 from symbid_ros.errors import DataError
@@ -104,7 +109,11 @@ class _LogDiagnoser:
 
     def diagnosis(self) -> Diagnosis:
         checks = self._checks(self.streams.unit_findings())
-        of_streams = [*self.fatal, *self.streams.findings(self.source)]
+        frames = {} if self.first is None else {one.topic: one.frame_id for one in self.first.imus}
+        of_streams = [
+            with_rotation_line(one, frames[one.stream]) if one.stream in frames else one
+            for one in (*self.fatal, *self.streams.findings(self.source))
+        ]
         if not self.fatal and not self.streams.timings:
             text = f"{self.source}: no data in the requested part; give an earlier `start`"
             of_streams.append(Finding(Kind.SILENT, "", Severity.UNUSABLE, text))

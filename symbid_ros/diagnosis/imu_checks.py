@@ -103,11 +103,10 @@ class RateComparison:
         self.orientation_square += float(np.sum(rate**2))
 
     @property
-    def angle(self) -> float:
-        """Angle between the axes of both rates, degrees."""
+    def rotation(self) -> Rotation:
+        """The gyroscope's axes in those of the orientation."""
         U, _, Vt = np.linalg.svd(self.cross)
-        rotation = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-        return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
+        return Rotation.from_matrix(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
     def gain(self, gyro: float, count: int) -> tuple[float, float]:
         """Return the gyroscope's gain and its standard deviation from its square, (rad/s)²."""
@@ -268,15 +267,25 @@ class ImuCheck:
             if self._rates.unexplained(self._gyro_square, mirrored=mirrored) < min(
                 MAX_UNEXPLAINED, plain / BETTER
             ):
-                angle = self._rates.angle
-                how = "an axis reversed" if mirrored else f"its axes rotated by {angle:.0f} degrees"
+                rotation = self._rates.rotation
+                # Without negative zeros.
+                euler = np.round(rotation.as_euler("xyz", degrees=True), 1) + 0.0
+                roll, pitch, yaw = euler.tolist()
+                angle = float(np.degrees(rotation.magnitude()))
+                how = (
+                    "an axis reversed"
+                    if mirrored
+                    else f"its axes rotated by {angle:.0f} degrees (roll {roll:g}, pitch "
+                    f"{pitch:g}, yaw {yaw:g})"
+                )
+                angles = {"angle_deg": angle, "roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw}
                 return [
                     Finding.of(
                         self.topic,
                         Kind.IMU_MOUNTING,
                         f"angular_velocity matches the orientation only with {how}; publish both "
                         "in the axes of header.frame_id",
-                        figures | ({} if mirrored else {"angle_deg": angle}),
+                        figures | ({} if mirrored else angles),
                     )
                 ]
         return []

@@ -249,7 +249,7 @@ def _check_imus(checks: ModelChecks, statistics: ModelStatistics, imus: Sequence
             f"{topic}/gyroscope_gain": found.gain,
         }
         frame = statistics.gains.imu_frames[imus.index(topic)]
-        wrong = [_with_line(one, frame) for one in mounting_findings(topic, found)]
+        wrong = [with_rotation_line(one, frame) for one in mounting_findings(topic, found)]
         checks.findings += wrong
         if not any(one.severity is Severity.UNUSABLE for one in wrong):
             checks.findings += delay_finding(
@@ -257,7 +257,7 @@ def _check_imus(checks: ModelChecks, statistics: ModelStatistics, imus: Sequence
             )
 
 
-def _with_line(finding: Finding, frame: str) -> Finding:
+def with_rotation_line(finding: Finding, frame: str) -> Finding:
     """Return a finding of a rotated IMU with the line of a robot file that corrects it."""
     angles = [finding.figures.get(f"{angle}_deg") for angle in ("roll", "pitch", "yaw")]
     if finding.kind is not Kind.IMU_MOUNTING or None in angles:

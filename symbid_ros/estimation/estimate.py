@@ -196,6 +196,13 @@ class Estimate:
         return replace(parameters, reference=reference)
 
     @property
+    def is_floating(self) -> bool:
+        """Whether the base moves; before it is saved, whether its forces have rows."""
+        if self.base:
+            return self.base == "floating"
+        return any(name.startswith("base/") for name in self.residual_rmse)
+
+    @property
     def predicts_better(self) -> bool:
         """Whether predictions improve and err little, and no alarm is about what spoils them too.
 

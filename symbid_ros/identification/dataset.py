@@ -185,8 +185,9 @@ class ChainedSegments:
                 if start >= WALL_CLOCK:
                     raise DataError(
                         "the stamps of two logs overlap, so that their payloads cannot be told "
-                        "apart; identify one of them, save it, and give its `information` with "
-                        "the other",
+                        "apart; record one after the other, with a clock that goes on, or identify "
+                        "one of them without `drive_gain`, and give its `information` with the "
+                        "other",
                         "E530",
                     )
                 if again := seconds & own:

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from functools import reduce
 from pathlib import Path
 
 import numpy as np
 
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.fleet import Deviation, FleetEstimate, FleetMember, estimate_fleet
 from symbid_ros.estimation.observations import Observations
@@ -52,7 +52,9 @@ def fleet_of_results(folders: Sequence[Path]) -> FleetEstimate:
             found, expected, rtol=1e-6, atol=1e-12
         ):
             raise EstimateError(
-                f"{folder}: was identified with another model than {folders[0]}; {ALIKE}", "E961"
+                f"{folder}: was identified with another model than {folders[0]}: "
+                f"{_difference_of_models(first, other)}; {ALIKE}",
+                "E961",
             )
     robot = load_result_robot(folders[0], first)
     parameters = first.parameters_of(robot)
@@ -64,6 +66,21 @@ def fleet_of_results(folders: Sequence[Path]) -> FleetEstimate:
     prior = dict(zip(first.names, first.prior.tolist(), strict=True))
     model = parameters.apply(np.array([prior[name] for name in parameters.names]))
     return fleet(model, data)
+
+
+def _difference_of_models(first: Estimate, other: Estimate) -> str:
+    """Return a link or a value in which the models of two results differ."""
+    for one, two in ((first, other), (other, first)):
+        if links := [link for link in one.consistent if link not in two.consistent]:
+            return f"only one of them has the link {links[0]}"
+    known = dict(zip(first.names, first.prior.tolist(), strict=True))
+    values = zip(other.names, other.units, other.prior.tolist(), strict=True)
+    name, unit, value = next(
+        each
+        for each in values
+        if each[0] in known and not np.isclose(each[2], known[each[0]], rtol=1e-6, atol=1e-12)
+    )
+    return f"{name} is {value:.5g} instead of {known[name]:.5g} {unit}"
 
 
 def fleet(robot: RobotModel, data: Mapping[str, tuple[Observations, ...]]) -> FleetEstimate:
@@ -85,7 +102,17 @@ def fleet(robot: RobotModel, data: Mapping[str, tuple[Observations, ...]]) -> Fl
     """
     # A robot may run at the same time as another one, so seconds may be equal.
     data = {name: with_constant_friction(one) for name, one in data.items()}
-    together: tuple[Observations, ...] = reduce(_merged, data.values())
+    if scaled := [name for name, one in data.items() if _has_drive_gains(one)]:
+        raise EstimateError(
+            f"{', '.join(scaled)}: factors of efforts were identified, which belong to one log; "
+            "identify these robots with `drive_gain` none, and give the factors as `effort_scale` "
+            "if their efforts are not in Nm (N)",
+            "E961",
+        )
+    first, *others = data
+    together = data[first]
+    for name in others:
+        together = _merged(together, data[name], f"{name}, unlike {first}")
     if together[0].slipping is None:
         terms = columns_of(robot, together).terms
     else:
@@ -211,15 +238,37 @@ def fleet_document(found: FleetEstimate) -> dict[str, object]:
     return versioned("fleet", document)
 
 
+def _has_drive_gains(observations: tuple[Observations, ...]) -> bool:
+    return any(
+        name.endswith("/drive_gain") for one in observations for name in one.layout.parameters
+    )
+
+
 def _merged(
-    one: tuple[Observations, ...], two: tuple[Observations, ...]
+    one: tuple[Observations, ...], two: tuple[Observations, ...], which: str
 ) -> tuple[Observations, ...]:
     """Return the information of two robots, for each window length that both have."""
     known = {each.window: each for each in two}
+    if not any(each.window in known for each in one):
+        lengths = ", ".join(f"{1e3 * length:g}" for length in known)
+        raise EstimateError(
+            f"{which}, has windows of {lengths} ms, and none is common to all robots; {ALIKE}",
+            "E961",
+        )
     try:
-        merged = tuple(each.merge(known[each.window]) for each in one if each.window in known)
+        return tuple(each.merge(known[each.window]) for each in one if each.window in known)
     except DataError as error:
-        raise EstimateError(f"{error}; {ALIKE}", "E961") from None
-    if not merged:
-        raise EstimateError(f"no window length is common to all robots; {ALIKE}", "E961")
-    return merged
+        raise EstimateError(
+            f"{which}: {_difference(one[0], two[0]) or error}; {ALIKE}", "E961"
+        ) from None
+
+
+def _difference(one: Observations, two: Observations) -> str:
+    """Return which parameters or coordinates only one of two logs has; empty if none."""
+    for kind in ("parameters", "coordinates"):
+        before, after = (getattr(each.layout, kind) for each in (one, two))
+        for having, others, verb in ((after, before, "has"), (before, after, "lacks")):
+            if names := [name for name in having if name not in others]:
+                more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+                return f"it {verb} {names[0]}{more}"
+    return ""

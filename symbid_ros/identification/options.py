@@ -138,7 +138,9 @@ class IdentifyOptions(RobotOptions):
         metavar="PAYLOAD",
     )
     information: Path | None = option(
-        None, "information.npz of an earlier run, whose data are added.", group=KNOWN
+        None,
+        "Folder of an earlier run, or its information.npz, whose data are added.",
+        group=KNOWN,
     )
     joint_terms: tuple[str, ...] = option(
         (),
@@ -278,6 +280,8 @@ class IdentifyOptions(RobotOptions):
         """Check for options that contradict each other or have no effect with this method."""
         super().__post_init__()
         self._rename_deprecated()
+        if self.information is not None and self.information.is_dir():
+            object.__setattr__(self, "information", self.information / "information.npz")
         check_options(self)
 
     def _rename_deprecated(self) -> None:

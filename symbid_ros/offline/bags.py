@@ -1,7 +1,7 @@
 """Identification and evaluation of bags: logs, requests and ground truth."""
 
 import logging
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from symbid_ros.identification.result import Result
 from symbid_ros.identification.rigid_sensors import RigidSensors
 from symbid_ros.identification.solver import Identification
 from symbid_ros.messages.log_options import LogOptions
-from symbid_ros.messages.topics import TopicSelection, is_truth
+from symbid_ros.messages.topics import Topic, TopicSelection, is_truth
 from symbid_ros.messages.types import IMU, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.load import is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
@@ -109,9 +109,12 @@ def load_robot(model: Path, base: Base, bags: Sequence[Path]) -> RobotModel:
         When the model or a bag cannot be read.
     """
     robot = load_model(model, base)
-    return with_likely_base(
-        robot, model, base, lambda: {topic.msgtype for topic in count_messages(bags)}
-    )
+    return with_likely_base(robot, model, base, lambda: measured_types(count_messages(bags)))
+
+
+def measured_types(topics: Iterable[Topic]) -> set[str]:
+    """Return the types of topics that a robot would have, without a simulation's ground truth."""
+    return {topic.msgtype for topic in topics if not is_truth(topic.name)}
 
 
 def with_likely_base(

@@ -60,6 +60,27 @@ def match_names(
     return found | dict(zip(rest, open_, strict=True)), tuple(left)
 
 
+def joints_by_robot(recorded: Sequence[str], wanted: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return the joints of each robot in a log whose names are a prefix and those of a model.
+
+    Parameters
+    ----------
+    recorded, wanted : sequence of str
+        Names in a log and in a model.
+
+    Returns
+    -------
+    dict of str to dict of str to str
+        Names in the model by names in the log, by prefix, such as ``left_``.
+    """
+    if not wanted:
+        return {}
+    first, *_ = wanted
+    prefixes = [name.removesuffix(first) for name in recorded if name.endswith(first)]
+    groups = {one: {f"{one}{name}": name for name in wanted} for one in prefixes}
+    return {one: pairs for one, pairs in groups.items() if pairs.keys() <= set(recorded)}
+
+
 def _unmatched(
     recorded: Sequence[str], wanted: Sequence[str], found: Mapping[str, str]
 ) -> tuple[list[str], list[str]]:

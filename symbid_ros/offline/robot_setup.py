@@ -10,6 +10,8 @@ from itertools import islice
 from pathlib import Path
 from statistics import median
 
+import numpy as np
+
 from symbid_ros.arrays import concatenated
 from symbid_ros.atomic_write import write_text
 from symbid_ros.bags import bag_log, count_messages, join_names
@@ -34,7 +36,7 @@ from symbid_ros.messages.types import IMU, JOINT_STATE, POSE, WRENCH
 from symbid_ros.model.load import is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.offline.base_topics import contact_flags, odometry_topics, pose_topics
-from symbid_ros.offline.name_matching import match_names, most_similar
+from symbid_ros.offline.name_matching import joints_by_robot, match_names, most_similar
 from symbid_ros.offline.robot_setup_file import RobotSetup
 from symbid_ros.signals.alignment import suggested_prefix
 from symbid_ros.signals.sensor_samples import probed
@@ -141,6 +143,7 @@ class _Inspector:
     topics: tuple[Topic, ...]
     setup: RobotSetup
     frames: dict[str, str] = field(default_factory=dict)  # of the sensors' topics
+    fault: SymbidError | None = None  # why the first topic that is unusable is
 
     def match_joints(self) -> None:
         """Choose the topics of joint states, and match their joints."""
@@ -149,9 +152,11 @@ class _Inspector:
             for topic in self._of_type(JOINT_STATE)
             if (found := self._read(topic.name)) is not None
         }
+        if not streams and self.fault is not None:
+            raise self.fault
         if not streams:
             raise BagError(
-                f"{join_names(self.bags)}: no usable {JOINT_STATE} topic, it holds "
+                f"{join_names(self.bags)}: no {JOINT_STATE} topic, it holds "
                 f"{describe_topics(self.topics)}; record the joint states as well",
                 "E210",
             )
@@ -161,10 +166,16 @@ class _Inspector:
         for topic, joints in sorted(streams.items(), key=lambda one: _preference(*one)):
             open_ = [name for name in wanted if name not in chosen.values()]
             new = [name for name in joints.names if name not in chosen]
-            pairs, guessed = match_names(new, open_)
+            pairs, guessed = self._matched(topic, new, open_)
             if not pairs:
                 if open_:
                     self.setup.note("joint_topic", f"{topic} names no joint of the model.")
+                elif _names_all(joints, wanted):
+                    self.setup.note(
+                        "joint_topic",
+                        f"CHECK: {topic} has joints of these names and efforts as well, and is "
+                        "left out. Give the topic of this robot.",
+                    )
                 continue
             self.setup.add("joint_topic", topic)
             guesses += guessed
@@ -190,6 +201,21 @@ class _Inspector:
         for name in wanted:
             if name not in chosen.values():
                 self.setup.add("hold_joint", f"{name}:=0.0", "CHECK: these positions are guesses.")
+
+    def _matched(
+        self, topic: str, recorded: Sequence[str], wanted: Sequence[str]
+    ) -> tuple[dict[str, str], tuple[str, ...]]:
+        """Match names of a topic as `match_names` does, of the first robot if it has several."""
+        robots = joints_by_robot(recorded, wanted)
+        if len(robots) < 2:
+            return match_names(recorded, wanted)
+        first, *_ = robots
+        self.setup.note(
+            "rename_joint",
+            f"CHECK: {topic} has joints of {len(robots)} robots: {', '.join(robots)}. Those of "
+            f"{first} are used.",
+        )
+        return robots[first], ()
 
     def _describe_joints(self, ignored: Sequence[str]) -> None:
         if ignored:
@@ -367,8 +393,8 @@ class _Inspector:
             found = self._diagnosed()
         self.setup.diagnosis = found
         for one in found.findings:
-            if one.severity is Severity.UNUSABLE:
-                self.setup.note("", f"CHECK: {one.message}")
+            start = "CHECK" if one.severity is Severity.UNUSABLE else "Doctor"
+            self.setup.note("", f"{start}: {one.message}")
 
     def _diagnosed(self) -> Diagnosis:
         """Return what the doctor says of the log, read with the options so far."""
@@ -475,8 +501,8 @@ class _Inspector:
             for piece in bag_log(self.bags, topics=selection).slices(SPAN, warn=False):
                 if piece.streams is not None:
                     return piece.streams
-        except SymbidError:
-            return None
+        except SymbidError as error:
+            self.fault = self.fault or error
         return None
 
 
@@ -508,5 +534,14 @@ def _is_correctable(found: Diagnosis) -> bool:
 
 def _preference(topic: str, joints: JointStream) -> tuple[bool, bool, int, str]:
     """Return a key that sorts measured joint states before commands."""
-    has_efforts = bool((joints.effort == joints.effort).any())
-    return topic.rsplit("/", 1)[-1] != "joint_states", not has_efforts, topic.count("/"), topic
+    is_other = topic.rsplit("/", 1)[-1] != "joint_states"
+    return is_other, not _has_efforts(joints), topic.count("/"), topic
+
+
+def _names_all(joints: JointStream, wanted: Sequence[str]) -> bool:
+    """Return whether joint states have all wanted joints, with efforts."""
+    return _has_efforts(joints) and len(match_names(joints.names, wanted)[0]) == len(wanted)
+
+
+def _has_efforts(joints: JointStream) -> bool:
+    return bool(np.isfinite(joints.effort).any())

@@ -70,7 +70,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
             is_alarm=scale > verdict.largest_prior_scale,
             page="errors.html",
         ),
-        *_mass_scale_entries(verdict, estimate.base),
+        *_mass_scale_entries(verdict, floating=estimate.is_floating),
         SummaryEntry(
             "Whiteness",
             significant(white) if white > 0 else ABSENT,
@@ -104,10 +104,10 @@ def _unexplained_entries(verdict: Verdict) -> tuple[SummaryEntry, ...]:
     )
 
 
-def _mass_scale_entries(verdict: Verdict, base: str) -> tuple[SummaryEntry, ...]:
+def _mass_scale_entries(verdict: Verdict, *, floating: bool) -> tuple[SummaryEntry, ...]:
     if verdict.mass_scale == 0:
         return ()
-    checkable = "" if base == "fixed" else " without a weighing"
+    checkable = " without a weighing" if floating else ""
     return (
         SummaryEntry(
             "Mass scale",

@@ -111,15 +111,16 @@ JOINT = (
 
 
 @pytest.mark.parametrize(
-    ("parents", "with_pose", "is_floating"),
+    ("parents", "pose", "is_floating"),
     [
-        (("foot", "arm"), False, False),
-        (("foot", "arm"), True, True),
-        (("foot", "foot"), False, True),  # two limbs, as of a robot that stands
+        (("foot", "arm"), "", False),
+        (("foot", "arm"), "/mocap/pose", True),
+        (("foot", "arm"), "/ground_truth/pose", False),  # of a simulation
+        (("foot", "foot"), "", True),  # two limbs, as of a robot that stands
     ],
 )
 def test_the_base_of_an_arm_without_motion_sensors_counts_as_fixed(
-    parents, with_pose, is_floating, tmp_path, caplog
+    parents, pose, is_floating, tmp_path, caplog
 ):
     links = "".join(LINK.format(name) for name in ("foot", "arm", "hand"))
     joints = JOINT.format("first", parents[0], "arm") + JOINT.format("second", parents[1], "hand")
@@ -128,7 +129,7 @@ def test_the_base_of_an_arm_without_motion_sensors_counts_as_fixed(
     streams = random_streams(load_model(urdf, "fixed"), LogPlan(rate=100.0, count=100), 1)
     records = pose_layout("map").records(len(streams.joints.stamp))
     fill_stamp(records, streams.joints.stamp)
-    further = [("/mocap/pose", POSE, streams.joints.stamp, records)] if with_pose else []
+    further = [(pose, POSE, streams.joints.stamp, records)] if pose else []
     bag = write_bag(streams, tmp_path / "bag", further)
     assert load_robot(urdf, "auto", [bag]).floating == is_floating
     assert ("its base counts as fixed" in caplog.text) != is_floating

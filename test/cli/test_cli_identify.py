@@ -145,7 +145,7 @@ def test_a_run_continues_from_saved_information(
         log,
         model,
         tmp_path / "out",
-        *("--prior", prior, "--information", found / "information.npz"),
+        *("--prior", prior, "--information", found),
         # The log begins with the earlier one's move.
         *("--window", earlier["verdict"]["window_s"], "--start", 7),
     )

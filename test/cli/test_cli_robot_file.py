@@ -1,7 +1,7 @@
 """`symbid init` and `--robot`: from a foreign driver's bag to a validated robot."""
 
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
-from symbid_ros.errors import OptionError
+from symbid_ros.errors import DataError, OptionError
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.name_matching import match_names
 from symbid_ros.offline.robot_file import OF_THE_NODE, load_robot_file
@@ -365,6 +365,45 @@ def test_exchanged_joints_are_found_rather_than_scales(tmp_path, order, is_named
     assert found == {name: own for name, own in expected.items() if name != own}
     assert "effort_scale" not in setup.options
     assert any("the log exchanges" in line for line in setup.comments["rename_joint"])
+
+
+def arm_messages(read, names) -> list:
+    rows = zip(read.stamp, read.position, read.velocity, read.effort, strict=True)
+    return [joint_state(int(stamp), names, *one) for stamp, *one in rows]
+
+
+def test_joints_of_two_robots_in_one_topic_are_told_apart(tmp_path) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 8.0, 1, friction=0.05).joints
+    names = [f"{side}_{name}" for side in ("left", "right") for name in arm.joint_names]
+    columns = {name: np.tile(getattr(read, name), 2) for name in ("position", "velocity", "effort")}
+    bag = joints_only(tmp_path / "bag", *arm_messages(replace(read, **columns), names))
+    setup = inspect_robot(ur5_urdf(), [bag], "fixed")
+    found = entries(setup.options["rename_joint"])
+    assert found == {f"left_{name}": name for name in arm.joint_names}
+    assert any(
+        line.startswith("CHECK:") and "2 robots: left_, right_" in line
+        for line in setup.comments["rename_joint"]
+    )
+
+
+def test_a_log_without_stamps_is_refused_for_that_reason(tmp_path) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 8.0, 1, friction=0.05).joints
+    still = replace(read, stamp=np.zeros_like(read.stamp))
+    bag = joints_only(tmp_path / "bag", *arm_messages(still, arm.joint_names))
+    with pytest.raises(DataError, match=r"all header stamps are 0\.000 s"):
+        inspect_robot(ur5_urdf(), [bag], "fixed")
+
+
+def test_warnings_of_the_doctor_are_comments(tmp_path) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 20.0, 1, friction=0.05).joints
+    wrong = replace(read, position=read.position + np.radians([0, 0, 15, 0, 0, 0]))
+    bag = joints_only(tmp_path / "bag", *arm_messages(wrong, arm.joint_names))
+    setup = inspect_robot(ur5_urdf(), [bag], "fixed")
+    assert setup.is_usable
+    assert any(line.startswith("Doctor: /joint_states: position of") for line in setup.comments[""])
 
 
 @pytest.mark.parametrize("joint", [0, 2, 3])

@@ -150,8 +150,29 @@ def test_the_command_compares_saved_results(results, tmp_path) -> None:
     assert "±" in shown.stdout
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"drive_gain": ("all",)}, "odd: factors of efforts were identified"),
+        ({"joint_terms": ("none",)}, "odd, unlike robot_0: it lacks shoulder_pan_joint/viscous"),
+        ({"window": 0.1}, "odd, unlike robot_0, has windows of 100 ms"),
+    ],
+    ids=str,
+)
+def test_a_result_that_was_identified_otherwise_is_named(results, tmp_path, options, said) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    log = Log.from_streams(arm_streams(arm, 8.0, 4, rate=100.0))
+    given = {"joint_terms": ("viscous",), "unchecked": True, "no_holdout": True} | options
+    sy.identify(arm, log, **given).save(tmp_path / "odd")
+    folders = [results / "robot_0", results / "robot_1", tmp_path / "odd"]
+    with pytest.raises(EstimateError, match=re.escape(said)) as raised:
+        fleet_of_results(folders)
+    assert raised.value.code == "E961"
+
+
 def test_other_models_and_pairs_of_robots_are_refused(results) -> None:
-    with pytest.raises(EstimateError, match="another model") as raised:
+    differing = r"another model than .*: base_link/m is \S+ instead of \S+ kg"
+    with pytest.raises(EstimateError, match=differing) as raised:
         fleet_of_results([results / "robot_0", results / "robot_1", results / "other"])
     assert raised.value.code == "E961"
     with pytest.raises(EstimateError, match="at least 3") as raised:

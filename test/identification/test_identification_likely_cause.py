@@ -183,3 +183,18 @@ def backwards(_, position, effort):
 def test_an_alarm_names_a_reversed_joint(robot):
     found = identify(robot, Fault("", change=backwards))
     assert any(one.endswith("; give `flip_joint` joint_2") for one in found.alarms)
+
+
+@pytest.mark.parametrize("stride", [1, 5])
+def test_a_low_rate_is_named_if_nothing_else_explains_the_residuals(robot, stride):
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    joints = log_of(robot, truth, extra=strange, seconds=60.0).streams().joints
+    log = sy.Log.from_arrays(
+        robot,
+        time=joints.stamp[::stride] * 1e-9,
+        position=joints.position[::stride],
+        effort=joints.effort[::stride],
+    )
+    alarms = sy.identify(robot, log, no_holdout=True, unchecked=True).alarms
+    (alarm,) = (one for one in alarms if "none of these explains it" in one)
+    assert ("the rate of 40 Hz may be too low for the motion" in alarm) == (stride == 5)
