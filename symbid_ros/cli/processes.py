@@ -202,6 +202,7 @@ def unused_node_name(name: str, namespace: str, environment: Mapping[str, str]) 
     """
     found = subprocess.run(
         [sys.executable, "-m", "symbid_ros.ros.node_names", name, namespace],
+        check=False,
         env=dict(environment),
         capture_output=True,
         text=True,

@@ -167,6 +167,14 @@ class OnlineIdentification:
         """Whether the usual level of evidence is known well enough to detect a change."""
         return self._monitor.is_ready
 
+    @property
+    def can_tell_fit(self) -> bool:
+        """Whether there are enough data to judge if the model with its joint terms explains them.
+
+        Before, friction that is not chosen yet looks like wrong inertias.
+        """
+        return self.can_tell_change or not self._parameters.candidates
+
     def posture(self) -> FloatArray | None:
         """Return the newest joint positions (J,), rad or m; None while there are none."""
         model = self._parameters.model
@@ -198,6 +206,14 @@ class OnlineIdentification:
             )
             self.clock_jumps += 1
             self._restart_clock()
+        elif ahead := streams.jump_ahead(topic, stamp):
+            streams.buffers[topic].pauses += 1
+            logger.warning(
+                "%s: its stamps jump ahead by %.1f s: its publisher paused, or its clock was set; "
+                "the data of both sides are used",
+                topic.name,
+                ahead * 1e-9,
+            )
         streams.add(topic, stamp, payload)
 
     def advance(self) -> None:

@@ -42,7 +42,9 @@ class TopicBuffer:
     newest : int or None
         Largest stamp so far, ns; None before the first message.
     missing : int
-        Messages missing in gaps between stamps, as counted by `count_gaps`.
+        Messages missing in gaps of at most `CLOCK_JUMP` between stamps, as counted by `count_gaps`.
+    pauses : int
+        Longer gaps: the publisher was away, or its clock was set forward.
     disordered : int
         Messages whose stamp is not after the previous one, as counted by `count_gaps`.
     """
@@ -55,6 +57,7 @@ class TopicBuffer:
     newest_stale: int = 0
     newest: int | None = None
     missing: int = 0
+    pauses: int = 0
     disordered: int = 0
     _counted: int | None = None
     _stamps: "array[int]" = field(default_factory=lambda: array("q"))
@@ -94,11 +97,13 @@ class TopicBuffer:
         if self._has_parts:
             counted = np.unique(counted)  # messages with one stamp hold different joints
         if self._counted is not None:
-            counted = counted[counted >= self._counted]
-        if len(counted):
-            gaps = find_gaps(counted)
+            # The last stamp may be dropped already, and a gap begins with it.
+            counted = np.append(self._counted, counted[counted > self._counted])
+        for part in np.split(counted, np.flatnonzero(np.diff(counted) > CLOCK_JUMP) + 1):
+            gaps = find_gaps(part)
             self.missing += gaps.missing
             self.disordered += gaps.disordered
+        if len(counted):
             self._counted = int(counted.max())
 
     @property
@@ -167,6 +172,12 @@ class LiveStreams:
         """Return whether a stamp, ns, shows that the topic's clock jumped back."""
         newest = self.buffers[topic].newest
         return stamp > 0 and newest is not None and stamp < newest - CLOCK_JUMP
+
+    def jump_ahead(self, topic: Topic, stamp: int) -> int:
+        """Return by how much a stamp is ahead of the topic's last one, ns; 0 if it follows it."""
+        newest = self.buffers[topic].newest
+        ahead = 0 if newest is None else stamp - newest
+        return ahead if ahead > CLOCK_JUMP else 0
 
     def restart(self) -> None:
         """Drop all messages and restart the clock."""

@@ -1,6 +1,7 @@
 """Balance control over topics: measurements in, torques out, no state shared with the plant."""
 
 import json
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -292,3 +293,7 @@ def main() -> int:
         purpose="Balance the robot: read joint_states and imu/data, publish joint_command.",
         parameters=PARAMETERS,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,5 +1,6 @@
 """The node identifier: from topics or bags to an estimate on latched topics."""
 
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -145,3 +146,7 @@ def main() -> int:
         purpose="Identify a robot's inertial parameters from topics or bags and publish them.",
         parameters=PARAMETERS,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

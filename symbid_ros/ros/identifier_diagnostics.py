@@ -20,6 +20,7 @@ from symbid_ros.signals.calibrating_rows import CalibratingRows
 SILENCE = 2.0  # s without a message until a topic is reported
 RATE_PERIOD = 0.5  # s; shortest time over which rates are computed
 IN_ORDER = "in order"
+TOO_EARLY_TO_FIT = "too early to tell whether the model with its joint terms explains the data"
 TOO_FEW = "too few data for an estimate"
 TOO_EARLY = "too early to detect a change"
 
@@ -188,7 +189,9 @@ class IdentifierDiagnostics:
             return
         newest = live.streams.joints.newest
         self._age = 0.0 if newest is None else max((newest - outcome.until) * 1e-9, 0.0)
-        self._estimate = self._estimate_status(outcome, known, solve_time)
+        # A warning all the same: no controller may use a model that is not yet judged.
+        alarms = outcome.alarms if live.can_tell_fit or not outcome.alarms else (TOO_EARLY_TO_FIT,)
+        self._estimate = self._estimate_status(outcome, alarms, known, solve_time)
         self._sensors = _sensor_statuses(outcome)
         values = {"evidence": f"{live.evidence:.1f}"}
         change = outcome.change or outcome.followed
@@ -218,6 +221,7 @@ class IdentifierDiagnostics:
     def _estimate_status(
         self,
         outcome: OnlineEstimate,
+        alarms: Sequence[str],
         known: RobotUncertainty | None,
         solve_time: float,
     ) -> NodeStatus:
@@ -233,7 +237,7 @@ class IdentifierDiagnostics:
                 "mass/std": f"{known.mass_std:.6f}",
                 "com/std": f"{known.com_std:.6f}",
             }
-        return estimate_status(outcome.found.estimate, outcome.alarms, details)
+        return estimate_status(outcome.found.estimate, alarms, details)
 
     def update_streams(self, live: OnlineIdentification) -> dict[str, str] | None:
         """Update the status of the topics; return their faults, or None before `RATE_PERIOD`."""
@@ -253,6 +257,7 @@ class IdentifierDiagnostics:
             values[f"{name}/rate"] = f"{new / elapsed:.1f}"
             values[f"{name}/received"] = buffer.received
             values[f"{name}/missing"] = buffer.missing
+            values[f"{name}/pauses"] = buffer.pauses
             values[f"{name}/late"] = buffer.late
             values[f"{name}/disordered"] = buffer.disordered
             values[f"{name}/dropped"] = live.checks[topic].dropped

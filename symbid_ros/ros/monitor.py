@@ -1,6 +1,7 @@
 """The node monitor: what an identifier currently knows, in the terminal."""
 
 import math
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -350,3 +351,7 @@ def main() -> int:
         purpose="Show an identifier's current estimate in the terminal.",
         parameters=PARAMETERS,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

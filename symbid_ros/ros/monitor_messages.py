@@ -15,7 +15,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.model.inertia import PARAMETERS
 
 # Counts of a stream that should be zero.
-FAULTS = "missing", "late", "dropped"
+FAULTS = "missing", "pauses", "late", "dropped"
 LEVELS = {1: "warning", 2: "error"}
 DISABLED = "disabled by ~/enable"  # message of the status "estimate"
 

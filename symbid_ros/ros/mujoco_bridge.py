@@ -1,6 +1,7 @@
 """The simulated robot on ROS 2 topics, in real time."""
 
 import json
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -400,3 +401,7 @@ def main() -> int:
         purpose="Publish the measurements of a simulated robot on ROS 2 topics in real time.",
         parameters=PARAMETERS,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -306,3 +306,7 @@ def main() -> int:
         purpose="Replay bags on their topics.",
         parameters=PARAMETERS,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

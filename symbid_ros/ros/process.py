@@ -25,6 +25,7 @@ from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros.parameters import Parameter, declare
 from symbid_ros.ros.reporting import forward_python_logs
+from symbid_ros.ros.unknown_parameters import require_known_parameters
 from symbid_ros.shutdown import interruptible, stop_on_signals
 
 FAILURE = 2  # exit status
@@ -103,6 +104,7 @@ def run_node(name: str, work: Work, *, purpose: str, parameters: Sequence[Parame
         try:
             with forward_python_logs(node):
                 values = declare(node, parameters)
+                require_known_parameters(node, sys.argv)
                 _run_with_executor(node, lambda: work(node, values, stop), stop)
         finally:
             node.destroy_node()

@@ -361,3 +361,7 @@ def main() -> int:
         purpose="Record topics into a rosbag2 MCAP bag.",
         parameters=PARAMETERS,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

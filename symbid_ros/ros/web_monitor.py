@@ -1,6 +1,7 @@
 """The node web_monitor: what an identifier currently knows, as a page in the browser."""
 
 import math
+import sys
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
@@ -307,3 +308,7 @@ def main() -> int:
         purpose="Show an identifier's current estimate, and the robot in 3D, in the browser.",
         parameters=PARAMETERS,
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

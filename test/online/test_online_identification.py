@@ -356,6 +356,23 @@ def test_late_and_missing_messages_are_counted(start, feed) -> None:
     assert by_name[topic.name].late == 0
 
 
+@pytest.mark.parametrize("back", [5.0, 5.9])
+def test_a_jump_ahead_is_a_pause_and_no_missing_messages(
+    start, feed, caplog: pytest.LogCaptureFixture, back: float
+) -> None:
+    live = start(**LINKS)
+    with caplog.at_level(logging.WARNING):
+        feed.between(0.0, 2.5).into(live)
+        live.advance()
+        feed.between(back, 11.0).into(live)
+        live.advance()
+    buffers = live.streams.buffers.values()
+    assert {(buffer.missing, buffer.pauses) for buffer in buffers} == {(0, 1)}
+    said = [one.message for one in caplog.records if "jump ahead" in one.message]
+    assert len(said) == len(buffers)
+    assert f"jump ahead by {back - 2.5:.1f} s" in said[0]
+
+
 def test_forces_that_do_not_match_the_weight_are_refused(feed) -> None:
     gone = feed.selected.wrenches[0]
     halved = replace(feed.selected, wrenches=feed.selected.wrenches[1:])

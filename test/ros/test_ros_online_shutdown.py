@@ -3,6 +3,7 @@
 import json
 import signal
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
@@ -21,7 +22,7 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.ros.identifier_parameters import PARAMETERS
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.parameters import declare
-from symbid_ros.ros.reporting import OK
+from symbid_ros.ros.reporting import OK, WARN, NodeStatus
 from symbid_ros.ros.sensor_topics import SensorTopics
 
 MODEL = config_file("symbitron.xml")
@@ -79,6 +80,25 @@ def test_the_ending_states_why_data_gave_no_estimate(
     monkeypatch.setattr(OnlineIdentification, "solve", refuse)
     with pytest.raises(EstimateError, match="without an estimate: the forces do not match"):
         fed.run(stopped())
+
+
+def test_alarms_wait_until_joint_terms_can_be_chosen(
+    fed: OnlineIdentifier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = fed._live.solve()
+    assert outcome is not None
+    alarming = replace(outcome, alarms=("the data widened the prior",))
+
+    def status() -> NodeStatus:
+        fed._diagnostics.set_estimate(fed._live, alarming, None, 0.1)
+        (status,) = (one for one in fed._diagnostics.statuses() if one.part == "estimate")
+        return status
+
+    early = status()
+    assert early.message.startswith("too early to tell whether the model")
+    assert early.level == WARN  # no controller may use it
+    monkeypatch.setattr(OnlineIdentification, "can_tell_change", True)
+    assert status().message == "the data widened the prior"
 
 
 def test_a_disabled_identifier_reports_no_fault(fed: OnlineIdentifier) -> None:

@@ -8,7 +8,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import rclpy
 import yaml
+from rclpy.context import Context
+from rclpy.node import Node
 
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros import (
@@ -20,7 +23,8 @@ from symbid_ros.ros import (
     recorder,
     start,
 )
-from symbid_ros.ros.parameters import Parameter
+from symbid_ros.ros.parameters import Parameter, ParameterError, declare
+from symbid_ros.ros.unknown_parameters import require_known_parameters
 
 NODES = {
     "mujoco_bridge": mujoco_bridge.PARAMETERS,
@@ -147,3 +151,56 @@ def test_every_parameter_describes_its_purpose_and_range(parameter: Parameter) -
     assert all(bounds.from_value <= one <= bounds.to_value for one in values)
     assert math.isfinite(bounds.from_value)
     assert math.isfinite(bounds.to_value)
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_a_module_of_a_node_runs_it(name: str) -> None:
+    module = Path(start.__file__).with_name(f"{name}.py").read_text()
+    assert module.endswith('if __name__ == "__main__":\n    sys.exit(main())\n')
+
+
+def test_an_unknown_parameter_is_refused_with_the_right_name() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-m", "symbid_ros.ros.identifier", "--ros-args", "-p", "memroy:=10.0"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert ended.returncode == 2
+    (line,) = ended.stderr.splitlines()
+    assert line.endswith("unknown parameter memroy; did you mean memory? (SYMBID-E801)")
+
+
+@pytest.mark.parametrize(
+    ("section", "arguments", "says"),
+    [
+        ("subject", (), "error"),
+        ("/**", (), "warning"),
+        ("/**", ("-p", "memroy:=1.0"), "error"),
+    ],
+)
+def test_a_file_of_several_nodes_may_name_parameters_of_others(
+    domain: int, tmp_path: Path, capfd, section: str, arguments: tuple[str, ...], says: str
+) -> None:
+    file = tmp_path / "robot.yaml"
+    entries = {"memroy": 10.0, "memory": 5.0}
+    if section == "/**":
+        entries |= {"rate": 2.0}  # of the player
+    file.write_text(yaml.safe_dump({section: {"ros__parameters": entries}}))
+    command = ["subject", "--ros-args", "--params-file", str(file), *arguments]
+    context = Context()
+    rclpy.init(args=command, context=context, domain_id=domain)
+    node = Node("subject", context=context)
+    declare(node, [Parameter("memory", 0.0, "Of data.")])
+    try:
+        if says == "error":
+            with pytest.raises(ParameterError, match="memroy; did you mean memory"):
+                require_known_parameters(node, command)
+        else:
+            require_known_parameters(node, command)
+            (line,) = capfd.readouterr().err.splitlines()
+            assert "unknown parameter memroy; did you mean memory?" in line
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
