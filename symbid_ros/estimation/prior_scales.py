@@ -15,7 +15,7 @@ SCALES = (1e-2, 1e4)
 RATIO_STD = 2.0
 # Deviation of the logarithm of a factor below one. Without it, data that hold one or two
 # directions, in which the stated values happen to be right, would call all values exact.
-NARROWING_STD = 0.3
+NARROWING_STD = 1.0
 # Newton steps of the search for these factors at most, the longest and the shortest in their
 # logarithms, and by how much the cost must still fall.
 SEARCH_STEPS, LONGEST_STEP, SHORTEST_STEP, LEAST_FALL = 50, 1.0, 1e-9, 1e-12

@@ -40,8 +40,7 @@ def merged_observations(
             "E506",
         )
     one, other = first[0].layout, second[0].layout
-    _require_alike(one.coordinates, other.coordinates, named)
-    _require_alike(one.parameters, other.parameters, named)
+    _require_alike((one.coordinates, other.coordinates), (one.parameters, other.parameters), named)
     try:
         both = tuple(earlier[one.window].merge(one) for one in first if one.window in earlier)
     except DataError as error:
@@ -55,19 +54,23 @@ def merged_observations(
     return both
 
 
-def _require_alike(one: tuple[str, ...], other: tuple[str, ...], named: str) -> None:
+def _require_alike(
+    coordinates: tuple[tuple[str, ...], ...], parameters: tuple[tuple[str, ...], ...], named: str
+) -> None:
     """Raise an error that says which names only one of two runs has, if any."""
-    only = [name for name in one if name not in other]
-    only += [name for name in other if name not in one]
-    if not only:
-        return
-    more = f" and {len(only) - MOST_NAMED} more" if len(only) > MOST_NAMED else ""
-    has_gain = any(name.endswith(f"/{DRIVE_GAIN}") for name in only)
-    advice = "give both runs the same `drive_gain`, such as none" if has_gain else ALIKE
-    raise EstimateError(
-        f"{named}: only one of both runs has {', '.join(only[:MOST_NAMED])}{more}; {advice}",
-        "E505",
-    )
+    for of_runs, difference in ((coordinates, "of different robots, "), (parameters, "")):
+        one, other = map(set, of_runs)
+        only = [name for names in of_runs for name in names if name in one ^ other]
+        if not only:
+            continue
+        more = f" and {len(only) - MOST_NAMED} more" if len(only) > MOST_NAMED else ""
+        has_gain = any(name.endswith(f"/{DRIVE_GAIN}") for name in only)
+        advice = "give both runs the same `drive_gain`, such as none" if has_gain else ALIKE
+        raise EstimateError(
+            f"{named}: {difference}only one of both runs has {', '.join(only[:MOST_NAMED])}{more}; "
+            f"{advice}",
+            "E505",
+        )
 
 
 def require_constant_friction(*runs: tuple[Observations, ...]) -> None:
@@ -119,8 +122,11 @@ def check_layout(
     combined = combined_coordinates(parameters.model)
     for one in observations:
         if (one.layout.parameters[:p], one.layout.coordinates) != (parameters.names, coordinates):
-            _require_alike(one.layout.coordinates, coordinates, named)
-            _require_alike(one.layout.parameters[:p], parameters.names, named)
+            _require_alike(
+                (one.layout.coordinates, coordinates),
+                (one.layout.parameters[:p], parameters.names),
+                named,
+            )
             raise EstimateError(f"{named}: {INCOMPATIBLE}; {ALIKE}", "E505")
         if one.layout.combined != combined:
             raise EstimateError(
