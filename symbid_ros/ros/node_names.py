@@ -11,7 +11,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from symbid_ros.ros.process import use_udp
 
-DISCOVERY = 1.0  # s until running nodes are known
+DISCOVERY = 2.0  # s until running nodes are known
 POLL = 0.05  # s
 
 
@@ -22,15 +22,20 @@ def unused_name(name: str, used: Collection[str]) -> str:
 
 
 def main() -> int:
-    """Print an unused variant of a name in a namespace, both given as arguments."""
-    name, namespace = sys.argv[1:]
+    """Print an unused variant of a name in a namespace, both given as arguments.
+
+    A third argument replaces the time, s, for which a node of that name is looked for.
+    """
+    name, namespace, *rest = sys.argv[1:]
     use_udp(os.environ, rclpy.get_rmw_implementation_identifier())
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(f"_unused_name_{os.getpid()}")
     used: set[str] = set()
-    deadline = time.monotonic() + DISCOVERY
+    deadline = time.monotonic() + (float(rest[0]) if rest else DISCOVERY)
     while time.monotonic() < deadline:
         used |= {one for one, space in node.get_node_names_and_namespaces() if space == namespace}
+        if name in used:  # others are found soon
+            deadline = min(deadline, time.monotonic() + DISCOVERY)
         time.sleep(POLL)
     node.destroy_node()
     rclpy.try_shutdown()
