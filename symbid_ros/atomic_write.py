@@ -239,8 +239,9 @@ def staged(folder: Path) -> Iterator[Path]:
 def kept_until_replaced(folder: Path) -> Iterator[None]:
     """Set a folder aside while another is made in its place, then remove it.
 
-    An exception brings it back, and removes what was made. A process that is killed leaves it in a
-    hidden folder beside. Without an earlier folder, what was made stays.
+    If an exception is raised, the new folder is deleted and the old one is moved back. A process
+    that is killed leaves the old one in a hidden folder next to it. If there was no old folder, the
+    new one stays.
 
     Raises
     ------

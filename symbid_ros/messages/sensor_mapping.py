@@ -80,7 +80,7 @@ class SensorMapping:
             _pairs("rename_joint", options.rename_joint, str),
             frozenset(options.flip_joint),
             frozenset(options.flip_wrench),
-            _pairs("position_scale", options.position_scale, _factor),
+            _pairs("position_scale", options.position_scale, _positive),
             _pairs("effort_scale", options.effort_scale, _factor),
             _pairs("hold_joint", options.hold_joint, _finite),
             _pairs("rotate_imu", options.rotate_imu, _rotation),
@@ -248,7 +248,7 @@ def _pairs(option: str, entries: tuple[str, ...], read: Callable[[str], T | None
 EXAMPLES = {
     "rename_frame": "NAME_IN_LOG:=NAME_IN_MODEL, such as imu_sensor:=imu_link",
     "rename_joint": "NAME_IN_LOG:=NAME_IN_MODEL, such as j1:=shoulder_pan_joint",
-    "position_scale": "JOINT:=FACTOR, such as elbow_joint:=0.0174533 for degrees",
+    "position_scale": "JOINT:=FACTOR above zero, such as elbow_joint:=0.0174533 for degrees",
     "effort_scale": "JOINT:=FACTOR, such as elbow_joint:=-0.11",
     "hold_joint": "JOINT:=POSITION, such as wrist_joint:=0.5",
     "plate_link": "TOPIC:=LINK, such as /plate_1/wrench:=left_foot",
@@ -263,6 +263,12 @@ def _finite(text: str) -> float | None:
     except ValueError:
         return None
     return number if abs(number) <= LARGEST else None  # refuses NaN
+
+
+def _positive(text: str) -> float | None:
+    """Return a factor that leaves the sign, which is for `flip_joint`."""
+    value = _factor(text)
+    return value if value is not None and value > 0 else None
 
 
 def _factor(text: str) -> float | None:

@@ -154,7 +154,7 @@ class IdentifierDiagnostics:
 
     @property
     def reason(self) -> str:
-        """Why there is no estimate: too few or unsuitable data, and why there are no more."""
+        """Why there is no estimate: the last solver error, and what stops further data."""
         reasons = [self._estimate.message] if self._has_tried else []
         if not self._is_enabled:
             reasons.append(DISABLED)

@@ -187,7 +187,7 @@ def test_a_sign_that_the_log_does_not_show_is_reported_once_if_factors_are_asked
     log = sy.Log.from_arrays(robot, time=time, position=joints.position, effort=effort)
     options = IdentifyOptions(no_holdout=True)
     problem = load_problem(robot, log, options)
-    problem.with_drive_gains(("all",))  # a trial that nobody asked for
+    problem.with_drive_gains(("all",))  # as `wrong_factors` tries
     assert "the sign of the effort" not in caplog.text
     load_problem(robot, log, replace(options, drive_gain=("all",)))
     said = [one for one in caplog.messages if "the sign of the effort" in one]

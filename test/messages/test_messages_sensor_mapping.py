@@ -194,6 +194,7 @@ def test_joints_of_another_robot_are_refused_not_held(bag, model) -> None:
         ("rename_joint", ":=b"),
         ("rename_frame", "a:="),
         ("position_scale", "a:=0"),
+        ("position_scale", "a:=-1"),
         ("effort_scale", "a:=0"),
         ("effort_scale", "a:=nan"),
         ("effort_scale", "a:=1e300"),
