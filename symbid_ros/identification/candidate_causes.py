@@ -1,0 +1,278 @@
+"""Rows of a log with the columns of effects that may explain what an estimate leaves.
+
+Effects are terms of joints that were not identified, effects that no option models, and sensor
+errors, linearised about the estimate.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS
+from symbid_ros.dynamics.regressor import Rows, coulomb_column, friction_state, stribeck_column
+from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.solver import Identification
+from symbid_ros.identification.warming import LEAST_WARMING
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
+from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
+from symbid_ros.signals.segments import Segment, stamp_spans
+from symbid_ros.signals.sensor_errors import COMPLIANCE, SensorErrors
+from symbid_ros.signals.sensor_samples import SensorSamples
+from symbid_ros.signals.weak_form import block_length, windowed_rows
+
+# Stretches of a log are dealt to this many groups, each predicted from the others. They last a
+# second, or twice the window if that is longer.
+GROUPS = 4
+SHORTEST, WINDOWS_EACH = 1.0, 2
+# Most blocks that are used, evenly spread over the log; the motion varies little beyond.
+MOST_BLOCKS = 40
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Columns of a possible cause.
+
+    Attributes
+    ----------
+    kind : str
+        Key of ``EFFECTS``.
+    owners : tuple of str
+        Joint or sensor frame of each of the m columns.
+    columns : (N, n, m) float64
+    std : (m,) float64 or None
+        Typical size of the coefficients, if they have one.
+    """
+
+    kind: str
+    owners: tuple[str, ...]
+    columns: FloatArray
+    std: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class CandidateRows:
+    """Rows of a log with the columns of all candidates.
+
+    Attributes
+    ----------
+    model : RobotModel
+    K : (N, n, p) float64
+        Of the unknowns that were identified, in deviations of the prior.
+    residual : (N, n) float64
+        At the prior's mean.
+    error : (N, n) float64
+        At the estimate.
+    candidates : tuple of Candidate
+    speed, force : (N, n) float64
+        Mean speed of each joint, and its measured force.
+    valid : (N, n) bool
+    group : (N,) int
+        Group of each row.
+    covariance : (n, n) float64
+        Σ with which the estimate weights rows.
+    rate : float
+        Rate of the log, Hz.
+    """
+
+    model: RobotModel
+    K: FloatArray
+    residual: FloatArray
+    error: FloatArray
+    candidates: tuple[Candidate, ...]
+    speed: FloatArray
+    force: FloatArray
+    valid: BoolArray
+    group: IntArray
+    covariance: FloatArray
+    rate: float
+
+    @classmethod
+    def of(cls, loaded: LoadedProblem, found: Identification) -> "CandidateRows | None":
+        """Build the rows over the longest windows; None if the log is too short."""
+        solver = loaded.solver
+        problem = solver.problem
+        segments = loaded.dataset.segments
+        first = next(iter(segments), None)
+        if first is None:
+            return None
+        build = CandidateBuilder.of(problem.row_builder, found, problem.parameters, first)
+        spans = stamp_spans(segments)
+        build = replace(build, span=(spans[0][0], spans[-1][1]))
+        window = problem.observations[-1].window
+        slips = problem.choice is not None and problem.choice.slips
+        parts = []
+        period = round(1e9 * max(SHORTEST, WINDOWS_EACH * window))
+        for segment in _some_blocks(segments):
+            for (block,) in windowed_rows(segment, build, (window,), ()):
+                one = block.slipping() if slips else block
+                parts.append((one.mean.K, one.mean.y, one.valid, one.stamp // period % GROUPS))
+        if not parts:
+            return None
+        K, y, valid, group = (np.concatenate(each) for each in zip(*parts, strict=True))
+        if len(np.unique(group)) < GROUPS:
+            return None
+        prior = solver.posterior.prior
+        count = len(prior.mean)
+        return cls(
+            problem.parameters.model,
+            K[:, :, :count] @ prior.covariance_factor(),
+            y - K[:, :, :count] @ prior.mean,
+            y - K[:, :, :count] @ found.unknowns,
+            tuple(build.candidates(K)),
+            K[:, :, -1],
+            y,
+            valid,
+            group,
+            solver.posterior.covariance,
+            first.rate,
+        )
+
+
+@dataclass(frozen=True)
+class CandidateBuilder:
+    """Builds rows with the columns of all candidates, a ``RowBuilder``.
+
+    Columns that need the effort use the one that the estimate predicts: the measured effort
+    contains the residual, and would explain itself.
+
+    Attributes
+    ----------
+    build : RowBuilder
+        Of the identified unknowns, and of the sensor errors unless they are among those.
+    parameters : ParameterSet
+    unknowns : (k,) float64
+        The identified unknowns.
+    errors : SensorErrors or None
+        The sensor errors that follow them.
+    terms : tuple of str
+        Joint terms that were not identified.
+    span : (int, int)
+        First and last stamp of the log, ns.
+    """
+
+    build: RowBuilder
+    parameters: ParameterSet
+    unknowns: FloatArray
+    errors: SensorErrors | None
+    terms: tuple[str, ...]
+    span: tuple[int, int] = (0, 0)
+
+    @classmethod
+    def of(
+        cls, build: RowBuilder, found: Identification, parameters: ParameterSet, segment: Segment
+    ) -> "CandidateBuilder":
+        """Return the builder for candidates beside what was identified."""
+        # Terms that the data rejected need not be tried again.
+        terms = () if found.estimate.joint_terms is not None else TERMS
+        missing = tuple(term for term in terms if term not in parameters.terms)
+        errors = None
+        if not isinstance(build, CalibratingRows):
+            # Columns of measured efforts would explain their own residuals: see ``effects``.
+            left_out = {"torque_gain"}
+            others = segment.wrench_frames or segment.imu_frames or parameters.model.wrist_sensors
+            if not others:
+                left_out.add("sensor_delay")
+            kinds = [kind for kind in SENSOR_ERROR_KINDS if kind not in left_out]
+            errors = SensorErrors.of(
+                kinds, parameters.model, segment.wrench_frames, segment.imu_frames
+            )
+            point = LinearizationPoint(found.unknowns, np.zeros(len(errors)))
+            build = CalibratingRows(parameters, errors, point)
+        return cls(build, parameters, found.unknowns, errors, missing)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Kinds with one column for each joint."""
+        gain = () if self.errors is None else ("torque_gain",)
+        warming = ("warming",) if self.span[1] - self.span[0] >= LEAST_WARMING else ()
+        return (*self.terms, "quadratic", *warming, "delay", *gain)
+
+    def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
+        """Yield the rows of sensor samples."""
+        parts = list(self.build(readings))
+        if not parts:
+            return
+        first, known = 6 * self.parameters.model.floating, len(self.unknowns)
+        residual = [part.rows.y - part.rows.K[:, :, :known] @ self.unknowns for part in parts]
+        measured = np.nan_to_num(readings.effort)
+        # A joint without a drive has no effort to predict.
+        is_driven = np.any(measured != 0, axis=0)
+        effort = (measured - np.concatenate(residual)[:, first:]) * is_driven
+        own = self._own_columns(readings, effort)
+        start = 0
+        for part in parts:
+            count, n, _ = part.rows.K.shape
+            here = slice(start, start + count)
+            columns = np.zeros((count, n, own.shape[2]))
+            columns[:, first:] = own[here]
+            K = np.concatenate([part.rows.K, columns], axis=2)
+            yield replace(part, rows=Rows(K, part.rows.y))
+            start += count
+
+    def _own_columns(self, readings: SensorSamples, effort: FloatArray) -> FloatArray:
+        """Return (N, J, k) the columns of ``effects``, and the speed."""
+        velocity, joints = readings.velocity, self.parameters.model.joints
+        effort = np.nan_to_num(effort)  # joints whose effort was not measured have no rows
+        slips = coulomb_column(velocity, joints)
+        rate = np.zeros_like(effort)
+        if len(readings) > 1:
+            rate = np.gradient(effort, float(np.diff(readings.stamp).mean()) * 1e-9, axis=0)
+        columns = {
+            "viscous": velocity,
+            "coulomb": slips,
+            "armature": readings.acceleration,
+            "offset": np.ones_like(velocity),
+            "stribeck": stribeck_column(velocity, joints),
+            "quadratic": velocity * np.abs(velocity),
+            "load": slips * np.abs(effort),
+            "presliding": friction_state(readings.position, joints) - slips,
+            "stiffness": readings.position,
+            "warming": velocity * self._elapsed(readings.stamp)[:, None],
+            "delay": rate,
+            "torque_gain": effort,
+        }
+        return np.stack([*(columns[kind] for kind in self.effects), np.abs(velocity)], axis=2)
+
+    def _elapsed(self, stamp: IntArray) -> FloatArray:
+        """Return the time (N,) since the middle of the log, as shares of the log."""
+        first, last = self.span
+        elapsed: FloatArray = (stamp - first) / max(last - first, 1) - 0.5
+        return elapsed
+
+    def candidates(self, K: FloatArray) -> list["Candidate"]:
+        """Return the candidates whose columns in rows K are not zero."""
+        model, known = self.parameters.model, len(self.unknowns)
+        first, joints = 6 * model.floating, model.joint_names
+        found = []
+        own = K.shape[2] - len(self.effects) - 1
+        for index, kind in enumerate(self.effects):
+            column = K[:, :, own + index, None]
+            if kind == "delay":
+                found.append(Candidate(kind, ("efforts",), column))
+            else:
+                diagonal = np.eye(len(joints), model.dof, first).T
+                found.append(Candidate(kind, joints, column * diagonal))
+        if self.errors is not None:
+            for kind, place in self.errors.places.items():
+                owners = tuple(name.rpartition("/")[0] for name in self.errors.names[place])
+                columns = K[:, :, known + place.start : known + place.stop]
+                std = None if kind == COMPLIANCE else self.errors.std[place]
+                found.append(Candidate(kind, owners, columns, std))
+        return [one for one in found if np.any(one.columns)]
+
+
+def _some_blocks(segments: Iterable[Segment]) -> Iterator[Segment]:
+    """Yield blocks of segments, evenly spread."""
+    blocks = []
+    for segment in segments:
+        numbers = segment.stamp // block_length(segment.rate)
+        edges = np.searchsorted(numbers, np.arange(numbers[0], numbers[-1] + 2)).tolist()
+        blocks += [(segment, start, stop) for start, stop in pairwise(edges) if stop > start]
+    stride = max(1, -(-len(blocks) // MOST_BLOCKS))
+    for segment, start, stop in blocks[::stride]:
+        yield segment.cut(start, stop)

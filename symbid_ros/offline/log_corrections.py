@@ -1,0 +1,278 @@
+"""Corrects how a log is read until the equation of motion holds for it.
+
+The equation of motion, with the model's inertias within ±25 %, tells wrong signs and units, as in
+`symbid bag doctor`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from statistics import median
+
+from symbid_ros.arrays import concatenated
+from symbid_ros.bags import bag_log
+from symbid_ros.diagnosis.doctor import diagnose
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
+from symbid_ros.diagnosis.forces import GAINS, MILLI, common_unit
+from symbid_ros.diagnosis.joint_checks import DEGREES
+from symbid_ros.diagnosis.stream_checks import StreamChecks
+from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
+from symbid_ros.errors import SymbidError
+from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
+from symbid_ros.identification.contacts import with_robot_options
+from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.joint_readings import find_readings
+from symbid_ros.identification.log_reading import MINUTE, first_segments
+from symbid_ros.identification.position_units import find_degrees
+from symbid_ros.identification.robot_options import RobotOptions
+from symbid_ros.messages.topics import TopicSelection
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.offline.robot_setup_file import RobotSetup
+from symbid_ros.signals.log import Log
+from symbid_ros.signals.sensor_samples import probed
+
+# A gain is corrected if it is known to this share.
+KNOWN = 0.25
+ANGLES = "roll", "pitch", "yaw"
+ROUNDS = 3  # of corrections, since one wrong sign can hide another
+CORRECTABLE = {
+    Kind.IMU_MOUNTING,
+    Kind.WRENCH_SIGN,
+    Kind.TORQUE_SIGN,
+    Kind.TORQUE_GAIN,
+    Kind.CONTRADICTION,
+    Kind.WEIGHT,
+}
+
+
+@dataclass
+class LogCorrections:
+    """Adds to a setup what the motion and the efforts of its log show.
+
+    Attributes
+    ----------
+    bags : tuple of Path
+    robot : RobotModel
+        As the model file has it.
+    setup : RobotSetup
+        Names the topics; options and notes are added.
+    frames : dict
+        Frame of the sensor of each topic.
+    """
+
+    bags: tuple[Path, ...]
+    robot: RobotModel
+    setup: RobotSetup
+    frames: dict[str, str]
+
+    def find(self) -> None:
+        """Look for all of them, each with those before it in effect."""
+        self._name_wrist_sensors()
+        self._convert_degrees()
+        self._correct_joints()
+        self._find_gravity()
+        self._correct_signs_and_units()
+
+    def _log(self, robot: RobotModel) -> Log:
+        """Return the log, read with the options so far."""
+        return bag_log(self.bags, robot, TopicSelection.of(self.setup.log_options))
+
+    def _name_wrist_sensors(self) -> None:
+        """Name the wrench sensors whose force is that of a body fixed to them."""
+        if self.robot.floating or not self.setup.options.get("wrench_topic"):
+            return
+        log = self._log(self.robot)
+        try:
+            samples = [probed(segment, self.robot) for segment in AlignedLog(log, self.robot)]
+        except SymbidError:
+            return  # which the diagnosis states
+        for evidence in unnamed_sensors(self.robot, concatenated(samples)):
+            mass, share = abs(evidence.mass()[0]), evidence.share
+            self.setup.add(
+                "wrist_sensor",
+                evidence.sensor,
+                f"{100 * share:.0f} % of the force is that of a body of {mass:.3g} kg.",
+            )
+
+    def _convert_degrees(self) -> None:
+        """Convert positions that their velocities, limits or the efforts show to be in degrees."""
+        robot = with_robot_options(self.robot, self._given)
+        log = self._log(robot)
+        checks = StreamChecks(robot)
+        try:
+            for piece in islice(log.slices(MINUTE, warn=False), 1):
+                checks.take(piece)
+        except SymbidError:
+            return  # which the diagnosis states
+        hinges = {joint.name for joint in robot.joints if joint.kind == "revolute"}
+        names = [name for name in robot.measured_joint_names if name in hinges]
+        in_degrees = [one for one in checks.unit_findings() if _is_of_degrees(one, checks)]
+        if in_degrees:
+            single = [name for name in names if f"{name}/scale" in in_degrees[0].figures]
+            names = single or names
+        elif find_degrees(first_segments(log, robot), robot) is None:
+            return
+        for name in names:
+            self.setup.add("position_scale", f"{name}:={1 / DEGREES:.9g}")
+        self.setup.note("position_scale", "CHECK: positions are taken to be in degrees.")
+
+    def _correct_joints(self) -> None:
+        """Exchange and reverse joints of the log if the efforts are then explained.
+
+        Otherwise scales and signs of efforts would explain a part of them.
+        """
+        options = self.setup.options
+        robot = with_robot_options(self.robot, self._given)
+        log = self._log(robot)
+        readings = find_readings(first_segments(log, robot), robot)
+        if readings is None:
+            return
+        if owners := readings.exchanged:
+            renamed = dict(entry.split(":=", 1) for entry in options.get("rename_joint", []))
+            renamed = {name: name for name in owners if name not in renamed.values()} | renamed
+            new = {recorded: owners.get(name, name) for recorded, name in renamed.items()}
+            options["rename_joint"] = [f"{one}:={name}" for one, name in new.items() if one != name]
+            self.setup.note(
+                "rename_joint",
+                f"CHECK: found from the efforts: the log exchanges {', '.join(owners)}.",
+            )
+        for name, has_effort in readings.reversed_joints.items():
+            self.setup.add("flip_joint", name, "CHECK: found from the efforts.")
+            if has_effort:
+                reason = "CHECK: the log reverses these joints together with their motion."
+                self.setup.add("effort_scale", f"{name}:=-1.0", reason)
+
+    def _find_gravity(self) -> None:
+        """Say how gravity acts on a fixed base if the efforts contradict the model."""
+        robot = with_robot_options(self.robot, self._given)
+        if not searches_gravity(self._given, robot):
+            return
+        log = self._log(robot)
+        found = find_gravity(first_segments(log, robot), robot)
+        if found is not None:
+            self.setup.note("gravity", "CHECK: found from the efforts.")
+            for one in found.value.split():
+                self.setup.add("gravity", one)
+
+    @property
+    def _given(self) -> RobotOptions:
+        """What the options so far say of the robot."""
+        given = self.setup.options
+        direction = None
+        if "gravity" in given:
+            x, y, z = map(float, given["gravity"])
+            direction = (x, y, z)
+        contacts, sensors = (tuple(given.get(name, ())) for name in ("contact", "wrist_sensor"))
+        return RobotOptions(contact=contacts, wrist_sensor=sensors, gravity=direction)
+
+    def _correct_signs_and_units(self) -> None:
+        """Correct wrong signs and units until the doctor finds none."""
+        found = self._diagnosed()
+        for _ in range(ROUNDS):
+            if not _is_correctable(found) or not self._correct(found):
+                break
+            found = self._diagnosed()
+        self.setup.diagnosis = found
+        for one in found.findings:
+            start = "CHECK" if one.severity is Severity.UNUSABLE else "Doctor"
+            self.setup.note("", f"{start}: {one.message}")
+
+    def _diagnosed(self) -> Diagnosis:
+        """Return what the doctor says of the log, read with the options so far."""
+        log = self._log(self.robot)
+        return diagnose(log, with_robot_options(self.robot, self._given))
+
+    def _correct(self, found: Diagnosis) -> bool:
+        """Change signs and units as the diagnosis implies; return whether any changed."""
+        common = found.figures.get("gain", 1.0) or 1.0
+        before = {name: list(values) for name, values in self.setup.options.items()}
+        for frame in self.frames.values():
+            if found.figures.get(f"{frame}/gain", 1.0) < 0:
+                self._flip(frame)
+        factors, unknown = {}, []
+        for name in self.robot.joint_names:
+            gain = found.figures.get(f"{name}/effort_gain")
+            std = found.figures.get(f"{name}/effort_gain_std", 0.0)
+            if gain is None:
+                continue
+            if std > KNOWN * max(abs(gain), 1.0):
+                unknown.append(name)
+            else:
+                factors[name] = gain / common
+        scaled = {name: one for name, one in factors.items() if not GAINS[0] < one < GAINS[1]}
+        usual = median(map(abs, scaled.values())) if scaled else 1.0
+        if len(scaled) == len(factors) and not GAINS[0] < usual < GAINS[1]:
+            # No joint has the unit of the model, so those without a visible load have not either.
+            unit = common_unit(scaled.values())
+            self._scale(scaled | dict.fromkeys(unknown, usual), unit)
+        else:
+            self._scale(scaled)
+            beyond = [name for name in unknown if f"{name}/times_limit" in _figures(found)]
+            self._scale(dict.fromkeys(beyond, MILLI), MILLI)
+        if "effort_scale" not in self.setup.options:
+            self._reverse_efforts(found)
+        for one in found.findings:
+            place = self.frames.get(one.stream, "")
+            if one.kind is Kind.IMU_MOUNTING and place and "roll_deg" in one.figures:
+                self._rotate(place, [one.figures[f"{angle}_deg"] for angle in ANGLES])
+        return self.setup.options != before
+
+    def _rotate(self, frame: str, angles: Sequence[float]) -> None:
+        rotated = self.setup.options.get("rotate_imu", [])
+        if not any(entry.startswith(f"{frame}:=") for entry in rotated):
+            value = ",".join(f"{angle:.1f}" for angle in angles)
+            self.setup.add("rotate_imu", f"{frame}:={value}", "CHECK: found from the motion.")
+
+    def _flip(self, frame: str) -> None:
+        flipped = self.setup.options.setdefault("flip_wrench", [])
+        if frame in flipped:
+            flipped.remove(frame)
+        else:
+            self.setup.add("flip_wrench", frame, "Found from the equation of motion.")
+
+    def _reverse_efforts(self, found: Diagnosis) -> None:
+        """Change the signs of efforts that are wrong together, whose size is not known well."""
+        for one in found.findings:
+            if one.kind is Kind.TORQUE_SIGN:
+                joints = [name.removesuffix("/gain") for name in one.figures]
+                self.setup.options["effort_scale"] = [f"{name}:=-1.0" for name in joints]
+                self.setup.note("effort_scale", "CHECK: all joints together show this sign.")
+
+    def _scale(self, factors: Mapping[str, float], unit: float | None = None) -> None:
+        """Multiply efforts of joints by factors, or by that of their unit, which is exact."""
+        if not factors:
+            return
+        entries = dict(entry.split(":=", 1) for entry in self.setup.options.get("effort_scale", []))
+        for joint, factor in factors.items():
+            entries[joint] = f"{(unit or factor) * float(entries.get(joint, 1.0)):.3g}"
+        self.setup.options["effort_scale"] = [f"{name}:={at}" for name, at in entries.items()]
+        if unit is not None:
+            name = "mNm (Nmm)" if unit == MILLI else f"{unit:g} Nm"
+            self.setup.note(
+                "effort_scale", f"CHECK: efforts of {', '.join(factors)} are in {name}."
+            )
+            return
+        drives = self.setup.options.get("drive_gain", [])
+        self.setup.options["drive_gain"] = list(dict.fromkeys([*drives, *factors]))
+        self.setup.note(
+            "effort_scale",
+            "CHECK: found from the model's inertias, or from other joints if no load shows it; "
+            "better give gear ratio times torque constant.",
+        )
+
+
+def _is_of_degrees(finding: Finding, checks: StreamChecks) -> bool:
+    """Return whether a finding says that positions of joints are in degrees."""
+    is_unit = finding.kind is Kind.UNIT and finding.severity is Severity.UNUSABLE
+    return is_unit and finding.stream == checks.joint_topic
+
+
+def _figures(found: Diagnosis) -> dict[str, float]:
+    """Return the figures of all findings about gains of efforts."""
+    gains = (one.figures for one in found.findings if one.kind is Kind.TORQUE_GAIN)
+    return {name: value for figures in gains for name, value in figures.items()}
+
+
+def _is_correctable(found: Diagnosis) -> bool:
+    return any(one.kind in CORRECTABLE for one in found.findings)
