@@ -17,6 +17,7 @@ from symbid_ros.estimation.prior_std import (
     link_floor,
     percent_floor,
     percent_std,
+    stated_covariance,
     term_scale,
 )
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, pseudo_inertia
@@ -258,11 +259,13 @@ def consistent_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT)
 def default_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
     """Return a prior around a model file of which nobody says how good it is.
 
-    A link may be another body than in the file, as with :func:`consistent_prior`, and each number
-    may be wrong by itself, as with :func:`model_prior`. Their covariances add up, because either
-    alone is far too certain of a file with the other kind of error: a wrong mass beside a right
-    inertia contradicts the first, and a centre of mass beside the file's axis the second. The data
-    can tell the size of each kind, see :func:`~symbid_ros.estimation.posterior.posterior`.
+    A link may be another body than in the file: another shape, as with :func:`consistent_prior`, or
+    of another mass, centre of mass and central inertia. And each parameter may be wrong by itself,
+    as with :func:`model_prior`. Their covariances add up, because each alone is far too certain of
+    a file with another kind of error: a wrong mass beside a right inertia contradicts the first
+    kind, and a centre of mass beside the file's axis the last. The data can tell the size of the
+    error of bodies and of single parameters, see
+    :func:`~symbid_ros.estimation.posterior.posterior`.
 
     Raises
     ------
@@ -272,6 +275,9 @@ def default_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) ->
     prior = consistent_prior(parameters, percent)
     factor = prior.covariance_factor()
     variances = factor @ factor.T
+    for index, phi in enumerate(parameters.link_phi(parameters.values)):
+        own = slice(10 * index, 10 * index + 10)
+        variances[own, own] += stated_covariance(phi, percent / 100)
     alone = model_prior(parameters, percent).std
     links = np.arange(parameters.inertial)
     variances[links, links] += alone[links] ** 2

@@ -5,6 +5,8 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import JOINT_TERMS, JointTerm
 from symbid_ros.model.inertia import (
+    com_from_phi,
+    phi_from_com,
     phi_from_pseudo_inertia,
     pseudo_inertia,
     second_moments,
@@ -110,6 +112,26 @@ def body_covariance(phi: FloatArray, percent: float) -> FloatArray:
     """
     values, axes = np.linalg.eigh(pseudo_inertia(phi))
     return consistent_covariance(axes * np.sqrt(np.maximum(values, 0.0)), percent / 100)
+
+
+def stated_covariance(phi: FloatArray, half_width: float) -> FloatArray:
+    """Return the covariance (10, 10) of φ if each number of a model file is wrong by itself.
+
+    These are the mass, the coordinates of the centre of mass, and the central inertia, each uniform
+    within ± ``half_width`` of its value; to first order. That of a link without mass is zero.
+    """
+    mass, com, central = com_from_phi(phi)
+    share, nothing = half_width / np.sqrt(3), np.zeros((3, 3))
+    if mass <= 0:
+        return np.zeros((10, 10))
+    effects = [phi_from_com(share * mass, com, nothing)]
+    for offset in share * np.diag(com):
+        ends = (phi_from_com(mass, com + sign * offset, nothing) for sign in (1, -1))
+        effects.append(np.subtract(*ends) / 2)
+    effects += list(np.diag(share * phi_from_com(0.0, com, central))[4:])
+    columns = np.transpose(effects)
+    covariance: FloatArray = columns @ columns.T
+    return covariance
 
 
 def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:

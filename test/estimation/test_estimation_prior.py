@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from json_schemas import require_valid
 from random_robots import CONFIG, random_robot, with_drives
+from scipy.linalg import block_diag
 
 from symbid_ros.choices import JOINT_TERMS, TERMS
 from symbid_ros.errors import PriorError, SymbidError
@@ -22,10 +23,16 @@ from symbid_ros.estimation.prior import (
     model_prior,
 )
 from symbid_ros.estimation.prior_file import load_prior, write_prior
-from symbid_ros.estimation.prior_std import percent_floor
+from symbid_ros.estimation.prior_std import percent_floor, stated_covariance
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
-from symbid_ros.model.inertia import is_consistent, phi_from_pseudo_inertia, pseudo_inertia
+from symbid_ros.model.inertia import (
+    com_from_phi,
+    is_consistent,
+    phi_from_com,
+    phi_from_pseudo_inertia,
+    pseudo_inertia,
+)
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 
@@ -94,15 +101,30 @@ def test_the_covariance_of_a_consistent_prior_is_that_of_its_draws(symbitron):
     np.testing.assert_allclose(found.mean, symbitron.values)
 
 
-@pytest.mark.parametrize("kind", ["percent", "consistent"])
-def test_the_default_prior_expects_both_kinds_of_wrong_files(symbitron, kind):
+def wrong_numbers(parameters, percent, seed):
+    """Return link parameters of a file whose masses, centres and inertias are each wrong."""
+    rng, wrong = np.random.default_rng(seed), []
+    for phi in parameters.link_phi(parameters.values):
+        mass, com, central = com_from_phi(phi)
+        noise = 1 + rng.uniform(-percent / 100, percent / 100, 10)
+        moments = phi_from_com(0.0, np.zeros(3), central)[4:] * noise[4:]
+        wrong.append(phi_from_com(noise[0] * mass, noise[1:4] * com, np.zeros((3, 3))))
+        wrong[-1][4:] += moments
+    return np.concatenate(wrong)
+
+
+@pytest.mark.parametrize("kind", ["percent", "consistent", "numbers"])
+def test_the_default_prior_expects_all_kinds_of_wrong_files(symbitron, kind):
     prior = default_prior(symbitron, 25)
     links = np.arange(symbitron.inertial)
+
+    def drawn(seed):
+        if kind == "numbers":
+            return wrong_numbers(symbitron, 25, seed)
+        return draw_prior(symbitron, kind, 25, seed).mean[links]
+
     # In units of the prior's deviations, no direction of an error is more than expected.
-    errors = [
-        draw_prior(symbitron, kind, 25, seed).mean[links] - symbitron.values[links]
-        for seed in range(300)
-    ]
+    errors = [drawn(seed) - symbitron.values[links] for seed in range(300)]
     units = np.linalg.solve(prior.covariance_factor()[np.ix_(links, links)], np.transpose(errors))
     largest = np.linalg.svd(units / np.sqrt(len(errors)), compute_uv=False)[0]
     assert largest**2 < 2.5
@@ -114,9 +136,10 @@ def test_errors_along_the_columns_are_independent_whatever_the_size_of_each_kind
     root, share = extended.kinds_of_errors(extended.judged(count))
     alone = np.diag(extended.alone[:count] ** 2)
     bodies = consistent_prior(symbitron, 25).factor[:count, :count]
+    stated = [stated_covariance(phi, 0.25) for phi in symbitron.link_phi(symbitron.values)]
     scale = np.sqrt(np.diag(extended.factor @ extended.factor.T))[:count]
     for sizes in ((1.0, 1.0), (3.0, 0.2), (0.0, 1.0)):
-        expected = sizes[0] ** 2 * bodies @ bodies.T + sizes[1] ** 2 * alone
+        expected = sizes[0] ** 2 * (bodies @ bodies.T + block_diag(*stated)) + sizes[1] ** 2 * alone
         factors = np.sqrt(sizes[0] ** 2 * share + sizes[1] ** 2 * (1 - share))
         found = (root[:count, :count] * factors) @ (root[:count, :count] * factors).T
         np.testing.assert_allclose(
