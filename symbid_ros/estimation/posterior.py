@@ -36,6 +36,8 @@ NEGLIGIBLE_EXCESS = 1e-6
 # Information below which a direction is rounding, absolute (in prior deviations) or relative to the
 # best one.
 MIN_INFORMATION, MIN_RELATIVE_INFORMATION = 1e-6, 1e-12
+# Factor on the prior's deviations of ± 25 % below which the file's values come from a log.
+IDENTIFIED = 0.25
 # Information below which a direction judges the prior with a limited weight, as the data know it to
 # ten prior deviations only: its pull counts as this many deviations at most. A small effect that
 # the model lacks would claim alone that the prior is wrong a hundredfold.
@@ -103,6 +105,9 @@ class Posterior:
         :mod:`symbid_ros.estimation.sandwich`. None without such correlation.
     other_models : (p, k) float64 or None
         N: models that explain the data as well add the covariance N Nᵀ.
+    unseen : (p, p) float64 or None
+        N: directions that the data do not show, in which the prior was narrowed for others, add the
+        covariance N Nᵀ.
     """
 
     mean: FloatArray
@@ -115,6 +120,7 @@ class Posterior:
     is_scaled: bool = False
     excess_score: FloatArray | None = None
     other_models: FloatArray | None = None
+    unseen: FloatArray | None = None
 
     @cached_property
     def independent_factor(self) -> FloatArray:
@@ -134,17 +140,21 @@ class Posterior:
             parts.append(factor @ (factor.T @ self.excess_score))
         if self.other_models is not None:
             parts.append(self.other_models)
-        if len(parts) == 1:
-            return factor
-        wide = np.concatenate(parts, axis=1)
-        triangle = np.asarray(np.linalg.qr(wide.T, mode="r"), dtype=np.float64)
-        return triangle.T
+        if self.unseen is not None:
+            parts.append(self.unseen)
+        return _added(parts)
 
     @cached_property
     def std(self) -> FloatArray:
         """Standard deviations (p,)."""
         std: FloatArray = np.sqrt(np.sum(self.deviation_factor**2, axis=1))
         return std
+
+    @cached_property
+    def prior_factor(self) -> FloatArray:
+        """L₀ (p, p) with covariance L₀ L₀ᵀ before the data, wide where these show nothing."""
+        factor = self.prior.covariance_factor()
+        return factor if self.unseen is None else _added([factor, self.unseen])
 
     def gain(self, count: int) -> float:
         """Return the information gained about the first ``count`` parameters, nat.
@@ -157,7 +167,16 @@ class Posterior:
             triangle = np.asarray(np.linalg.qr(rows.T, mode="r"), dtype=np.float64)
             return float(np.sum(np.log(np.abs(triangle.diagonal()))))
 
-        return log_volume(self.prior.covariance_factor()) - log_volume(self.deviation_factor)
+        return log_volume(self.prior_factor) - log_volume(self.deviation_factor)
+
+
+def _added(roots: list[FloatArray]) -> FloatArray:
+    """Return a root (p, p) of the sum of covariances of which the roots (p, k) are given."""
+    if len(roots) == 1:
+        return roots[0]
+    wide = np.concatenate(roots, axis=1)
+    triangle = np.asarray(np.linalg.qr(wide.T, mode="r"), dtype=np.float64)
+    return triangle.T
 
 
 @dataclass(frozen=True)
@@ -304,6 +323,24 @@ class _Square:
             x, R = V @ (V.T @ target / least), np.sqrt(least)[:, None] * V.T
         return scale * x, R / scale
 
+    def unseen(self, scale: FloatArray) -> FloatArray | None:
+        """Return N (p, p): directions with little information add the covariance N Nᵀ.
+
+        A file that is right to a few percent in the directions that a log shows was identified from
+        another log, and says little of others. So deviations that the evidence narrows below
+        ``IDENTIFIED`` hold as far as the data judge their direction: 1 / (1 + h)² of what they lack
+        of the stated variance is added, with h the information in prior deviations. The estimate
+        itself is that of the narrow prior, because faint effects that the model lacks would pull it
+        far from the file in such directions.
+        """
+        if np.all(scale >= 1):
+            return None
+        information, V = np.linalg.eigh(self.G - self.T)
+        variance = np.sum((scale[:, None] * V) ** 2, axis=0)
+        lacking = np.maximum(1 - variance, 0.0) / (1 + (variance / IDENTIFIED**2) ** 2)
+        root: FloatArray = V * np.sqrt(lacking) / (1 + np.maximum(information, 0.0))
+        return root
+
     def evidence(self, judged: IntArray) -> "PriorEvidence":
         """Return what the data tell about the deviations of some parameters.
 
@@ -411,6 +448,7 @@ def posterior(
             break
     phi = mean + L @ x
     chosen = prior.with_root(L * scale) if has_two else prior.widened(scale)
+    unseen = square.unseen(scale)
     precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)
     return Posterior(
         mean=phi,
@@ -421,4 +459,5 @@ def posterior(
         noise_share=square.noise_share(scale),
         chosen_scale=float(np.sqrt(np.mean((chosen.std / prior.std)[judged] ** 2))),
         is_scaled=empirical,
+        unseen=None if unseen is None else L @ unseen,
     )

@@ -226,7 +226,7 @@ def assess(
         Number of rows of all coordinates.
     """
     p = len(parameters)
-    prior, factor = posterior.prior.covariance_factor(), posterior.deviation_factor
+    prior, factor = posterior.prior_factor, posterior.deviation_factor
     known = determined_directions(
         _square(prior[:p]), _square(factor[:p]), parameters.names, DETERMINED
     )

@@ -284,7 +284,7 @@ def report_data(
 ) -> ReportData:
     """Return what a report shows of an identification."""
     names = found.estimate.names
-    prior_std = problem.solver.posterior.prior.std[: len(names)]
+    prior_std = np.linalg.norm(problem.solver.posterior.prior_factor[: len(names)], axis=1)
     change = found.scale_change
     return ReportData(
         forces,

@@ -381,7 +381,8 @@ class Solver:
         parameters, prior = self.problem.parameters, self.posterior.prior
         p, choice = len(parameters), self.problem.choice
         contacts = parameters.model.contacts
-        determined = np.asarray(std < DETERMINED * prior.std[:p])
+        before = np.linalg.norm(self.posterior.prior_factor[:p], axis=1)
+        determined = np.asarray(std < DETERMINED * before)
         # After the data widen the prior far, even half its variance may exceed the stated one.
         stated = self.problem.prior.std[: parameters.inertial]
         determined[: parameters.inertial] &= std[: parameters.inertial] <= stated

@@ -288,7 +288,8 @@ def test_each_kind_of_error_gets_the_size_that_the_evidence_says(sizes):
     expected = sized(best.x)
     np.testing.assert_allclose(found.prior.std, expected.std, rtol=1e-3)
     again = posterior(log.observations(), found.prior)
-    assert_posterior(again, found.mean, found.deviation_factor @ found.deviation_factor.T, 1e-4)
+    alone = found.independent_factor  # not widened where the data show nothing
+    assert_posterior(again, found.mean, alone @ alone.T, 1e-4)
     size = np.sqrt(np.mean((found.prior.std / stated.std) ** 2))
     assert found.chosen_scale == pytest.approx(size)
 

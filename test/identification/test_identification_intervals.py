@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drive_logs import arm, drives, log_of
 from random_robots import random_robot, random_samples
 
+import symbid_ros as sy
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import com_position, equation_of_motion
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.evaluation import TrueMotion, predict
 from symbid_ros.identification.intervals import prediction_std, summarise_intervals
 from symbid_ros.model.parameters import ParameterSet
@@ -122,3 +125,20 @@ def test_a_factor_of_another_robot_is_refused():
     for factor in (np.eye(20), np.ones(30)):
         with pytest.raises(EstimateError, match="30 parameters"):
             prediction_std(parameters, parameters.values, factor, motion)
+
+
+def test_a_file_that_was_identified_is_not_trusted_where_logs_show_nothing():
+    """The second log agrees with the file in all that it shows; others may be wrong as before."""
+    robot = arm(seed=1, links=6)
+    parameters, truth = ParameterSet(robot), drives(robot)
+    file = parameters.apply(draw_prior(parameters, "consistent", 25, 1).mean)
+    options = {"unchecked": True, "no_holdout": True}
+    first = sy.identify(file, log_of(robot, truth, seed=1), **options)
+    again = sy.identify(first.robot, log_of(robot, truth, seed=2), **options)
+    assert again.estimate.verdict.prior_scale < 0.05
+    for found in (first, again):
+        errors = [
+            (found.parameters[name].value - true) / found.parameters[name].std
+            for name, true in zip(parameters.names, parameters.values, strict=True)
+        ]
+        assert np.sqrt(np.mean(np.square(errors))) < 2.0

@@ -90,7 +90,7 @@ def test_friction_of_the_model_file_is_used_and_kept(arm, rows, tmp_path, caplog
     robot = load_model(arm / "robot.urdf", "fixed")
     motion = read_true_motion([arm / "other"], robot)
     true = motion.samples.effort
-    assert rms(torque_of_exported(robot, tmp_path, motion) - true) < 0.02 * rms(true)
+    assert rms(torque_of_exported(robot, tmp_path, motion) - true) < 0.03 * rms(true)
 
     # Predictions and metrics agree with the written model.
     estimated = load_estimated_model(tmp_path, robot)
