@@ -37,7 +37,7 @@ NEGLIGIBLE_EXCESS = 1e-6
 # best one.
 MIN_INFORMATION, MIN_RELATIVE_INFORMATION = 1e-6, 1e-12
 # Factor on the prior's deviations of ± 25 % below which the file's values come from a log.
-IDENTIFIED = 0.25
+IDENTIFIED = 0.1
 # Information below which a direction judges the prior with a limited weight, as the data know it to
 # ten prior deviations only: its pull counts as this many deviations at most. A small effect that
 # the model lacks would claim alone that the prior is wrong a hundredfold.
@@ -326,10 +326,10 @@ class _Square:
     def unseen(self, scale: FloatArray) -> FloatArray | None:
         """Return N (p, p): directions with little information add the covariance N Nᵀ.
 
-        A file that is right to a few percent in the directions that a log shows was identified from
-        another log, and says little of others. So deviations that the evidence narrows below
+        A file that is right to a percent or two in the directions that a log shows was identified
+        from another log, and says little of others. So deviations that the evidence narrows below
         ``IDENTIFIED`` hold as far as the data judge their direction: 1 / (1 + h)² of what they lack
-        of the stated variance is added, with h the information in prior deviations. The estimate
+        of the stated variance is added, with h the information in stated deviations. The estimate
         itself is that of the narrow prior, because faint effects that the model lacks would pull it
         far from the file in such directions.
         """
