@@ -1,7 +1,7 @@
 """Default options on robots of example-robot-data, judged against the noise-free truth.
 
 Usage: .venv/bin/python bench/foreign_robots.py [--robots ur5 anymal] [--draws 1] [--seconds 60]
-[--rate 250] [--effort-noise 0.1] [--warm-up 0]
+[--rate 250] [--effort-noise 0.1] [--warm-up 0] [--model-errors consistent]
 
 Prints a Markdown table. The model file of each draw is wrong by up to 25 % in every link, and the
 robot moves at random: an arm on a fixed base, a legged robot with all feet on the ground. Encoders,
@@ -18,7 +18,11 @@ the package can be named by its file, or by folder/file.
   Cramér-Rao bound), so that only efforts and forces were noisy
 - ratio: of the prior's error to the default's
 - covered: share of determined parameters, joint terms included, inside their 90 % interval
+- square: mean square of their errors over their deviations, 1 if these are right
 - geometry: mean square of errors of joint placements over their deviations
+
+Links of model files are other bodies, see `draw_prior`, or with `--model-errors separate` their
+masses, centres of mass and central inertias are each wrong.
 
 With `--kinematics` the joints of an arm's model file are displaced by up to 2 mm and turned by up
 to 0.3° about each axis, and their placements are estimated with the links. The bound knows them.
@@ -48,7 +52,7 @@ from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.estimation.prior import default_prior, draw_prior
+from symbid_ros.estimation.prior import Kind, default_prior, draw_prior
 from symbid_ros.identification.intervals import HALF_WIDTH
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.warming import NODES
@@ -84,6 +88,7 @@ class Setup:
 
     ``geometry`` are the errors of joint placements that the robot has. Feet may have no sensors.
     ``warm_up`` is the share of viscous friction that is lost until the end of the log.
+    ``model_errors`` is the kind of errors of links in the model file.
     """
 
     seconds: float = 60.0
@@ -92,6 +97,7 @@ class Setup:
     geometry: tuple[str, ...] = ()
     has_foot_sensors: bool = True
     warm_up: float = 0.0
+    model_errors: Kind = "consistent"
 
 
 @dataclass(frozen=True)
@@ -120,13 +126,15 @@ def main() -> None:
     options.add_argument("--kinematics", action="store_true", help="wrong joint placements")
     options.add_argument("--no-foot-sensors", action="store_true")
     options.add_argument("--warm-up", type=float, default=0.0, help="%% of viscous friction")
+    options.add_argument("--model-errors", choices=("consistent", "separate"), default="consistent")
     given = options.parse_args()
     geometry = KINEMATIC_ERRORS if given.kinematics else ()
     noise, feel = given.effort_noise / 100, not given.no_foot_sensors
-    setup = Setup(given.seconds, given.rate, noise, geometry, feel, given.warm_up / 100)
+    warm_up, errors = given.warm_up / 100, given.model_errors
+    setup = Setup(given.seconds, given.rate, noise, geometry, feel, warm_up, errors)
     logging.disable(logging.WARNING)
     columns = "robot", "friction", "prior %", "default %", "by hand %", "expected %", "bound %"
-    columns = *columns, "ratio", "covered", "geometry", "alarms"
+    columns = *columns, "ratio", "covered", "square", "geometry", "alarms"
     print(f"| {' | '.join(columns)} |")
     print(len(columns) * "|---" + "|", flush=True)
     with threadpool_limits(1):
@@ -149,7 +157,7 @@ def table_row(name: str, friction: str, trials: list[Trial]) -> str:
     geometry = np.mean([one.geometry for one in trials])
     covered = np.mean(np.abs(errors) < HALF_WIDTH)
     alarms = "; ".join(sorted({alarm[:60] for one in trials for alarm in one.alarms})) or "none"
-    judged = f"{prior / default:.0f} | {covered:.2f} | {geometry:.2f}"
+    judged = f"{prior / default:.0f} | {covered:.2f} | {np.mean(errors**2):.2f} | {geometry:.2f}"
     return (
         f"| {name} | {friction} | {100 * prior:.2g} | {100 * default:.2g} | {100 * by_hand:.2g} | "
         f"{100 * expected:.2g} | {100 * bound:.2g} | {judged} | {alarms} |"
@@ -171,7 +179,8 @@ def trial(name: str, friction: str, seed: int, setup: Setup) -> Trial:
     size = np.maximum(size, 0.05 * size.max())
     truth = with_friction(robot, friction.startswith("present"), size, rng)
     log = record(truth, motion, size, rng, setup)
-    model = inaccurate(truth, friction.endswith("stated"), size, seed, rng)
+    is_stated = friction.endswith("stated")
+    model = inaccurate(truth, is_stated, size, seed, rng, errors=setup.model_errors)
     model = with_placements(model, stated)
     terms = "viscous,coulomb,armature" if friction.startswith("present") else "none"
     found = sy.identify(model, log, sensor_errors=setup.geometry)
@@ -250,11 +259,17 @@ def with_friction(
 
 
 def inaccurate(
-    truth: sy.RobotModel, is_stated: bool, size: FloatArray, seed: int, rng: np.random.Generator
+    truth: sy.RobotModel,
+    is_stated: bool,
+    size: FloatArray,
+    seed: int,
+    rng: np.random.Generator,
+    *,
+    errors: Kind = "consistent",
 ) -> sy.RobotModel:
     """Return the model file's robot: wrong links, and friction as the file states it."""
     links = ParameterSet(plain(truth))
-    wrong = links.apply(draw_prior(links, "consistent", MODEL_ERROR, seed).mean)
+    wrong = links.apply(draw_prior(links, errors, MODEL_ERROR, seed).mean)
     if not is_stated:
         return plain(wrong)
     joints = tuple(

@@ -20,10 +20,15 @@ from symbid_ros.estimation.prior_std import (
     stated_covariance,
     term_scale,
 )
-from symbid_ros.model.inertia import phi_from_pseudo_inertia, pseudo_inertia
+from symbid_ros.model.inertia import (
+    com_from_phi,
+    phi_from_com,
+    phi_from_pseudo_inertia,
+    pseudo_inertia,
+)
 from symbid_ros.model.parameters import ParameterSet
 
-Kind = Literal["percent", "absolute", "consistent"]
+Kind = Literal["percent", "absolute", "consistent", "separate"]
 
 # Half-width of the prior of a model file without a prior of its own, %.
 DEFAULT_PERCENT = 25.0
@@ -330,13 +335,15 @@ def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -
     parameters : ParameterSet
         The model and its columns. Joint terms that the file does not give stay zero, with the
         deviation ``JOINT_TERMS[...].std``.
-    kind : {"percent", "absolute", "consistent"}
+    kind : {"percent", "absolute", "consistent", "separate"}
         "percent": each parameter uniform within ± ``amount`` % of its value.
         "absolute": uniform within ± ``amount`` in its unit (thesis, Table 4.1).
         "consistent": each link's pseudo-inertia J = L Lᵀ becomes L S Lᵀ, where S has random axes
         and eigenvalues uniform within 1 ± ``amount`` %. Every drawn link is then physically
         consistent, and every moment ∫(aᵀx + b)² dm is within ± ``amount`` % of its value. Joint
         terms as with "percent".
+        "separate": the mass, each coordinate of the centre of mass and each central moment of a
+        link are uniform within ± ``amount`` %. Joint terms as with "percent".
     amount : float
         Half-width of the distribution.
     seed : int
@@ -360,9 +367,10 @@ def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -
     else:
         if amount >= 100:
             raise PriorError(
-                f"± {amount:g} % leaves no mass; give a consistent prior less than 100 %", "E406"
+                f"± {amount:g} % leaves no mass; give a {kind} prior less than 100 %", "E406"
             )
-        drawn = [_consistent(phi, amount / 100, rng) for phi in parameters.link_phi(mean)]
+        draw = _consistent if kind == "consistent" else _separate
+        drawn = [draw(phi, amount / 100, rng) for phi in parameters.link_phi(mean)]
         mean[:count] = np.concatenate([phi for phi, _ in drawn])
         mean[count:] *= 1 + rng.uniform(-amount / 100, amount / 100, len(mean) - count)
         std = percent_std(parameters, mean, amount)
@@ -409,6 +417,17 @@ def _check_factor(factor: FloatArray, names: tuple[str, ...], std: FloatArray) -
             f"entry {std[wrong[0]]:g}; make them agree",
             "E405",
         )
+
+
+def _separate(
+    phi: FloatArray, half_width: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return φ (10,) of a link each of whose numbers in a file is wrong, and its deviations."""
+    mass, com, central = com_from_phi(phi)
+    factors = 1 + rng.uniform(-half_width, half_width, 10)
+    drawn = phi_from_com(factors[0] * mass, factors[1:4] * com, np.zeros((3, 3)))
+    drawn[4:] += factors[4:] * phi_from_com(0.0, com, central)[4:]
+    return drawn, np.sqrt(np.diag(stated_covariance(drawn, half_width)))
 
 
 def _consistent(
