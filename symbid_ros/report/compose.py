@@ -100,13 +100,19 @@ def compose(
     Raises
     ------
     EstimateError
-        When the ground truth is of another robot.
+        When the results are of different robots, or the ground truth is of another one.
     """
     shown = results[chosen]
     model = shown.parameters.model
+    for label, one in results.items():
+        if one.parameters.model.coordinates != model.coordinates:
+            raise EstimateError(
+                f"{label}: its joints are not those of {chosen}; report results of one robot",
+                "E512",
+            )
     methods = [MethodResult(PRIOR, None, None)]
     methods += [
-        MethodResult(label, one.estimate, None, one.summary, one.log)
+        MethodResult(label, one.estimate, None, one.summary, one.log, one.given)
         for label, one in results.items()
     ]
     if ground_truth is not None:
@@ -253,6 +259,12 @@ def describe_log(log: Log) -> dict[str, str]:
         "Duration": f"{seconds:.1f} s, {len(stamp)} joint states",
         "Sensors": ", ".join(sensors),
     }
+
+
+def describe_given(log: Log) -> dict[str, str]:
+    """Describe a log that a report was given beside the one of the identification."""
+    titles = {"Bag": "Given bag", "Duration": "Its duration", "Sensors": "Its sensors"}
+    return {titles[name]: text for name, text in describe_log(log).items()}
 
 
 def describe_estimate(estimate: Estimate) -> dict[str, str]:

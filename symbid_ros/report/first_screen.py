@@ -1,8 +1,8 @@
 """What a reader sees first: whether to use the model, its mass, and its error on held-out data."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.error_changes import describe_files, percent, percent_change
 from symbid_ros.identification.force_errors import differ_relevantly
 from symbid_ros.identification.holdout import REPEATED
-from symbid_ros.identification.report_data import ReportData
+from symbid_ros.identification.report_data import PredictedLog, ReportData
 from symbid_ros.report.content import PRIOR, MethodResult, ReportContent
-from symbid_ros.report.formatting import ABSENT, significant, with_std
+from symbid_ros.report.formatting import ABSENT, fixed, significant, with_std
 from symbid_ros.report.robot_summary import RobotSummary
 
 # Bars that exceed this multiple of the third quartile are cut off.
@@ -155,12 +155,40 @@ def key_figures(content: ReportContent) -> tuple[KeyFigure, ...]:
         )
     figures += _error_against_truth(content)
     if shown.log is not None:
-        coverage = shown.log.coverage
-        used = float(np.sum(coverage.used[:, 1] - coverage.used[:, 0]))
-        figures.append(
-            KeyFigure("Log", f"{significant(used)} s used", _describe_findings(shown.log))
-        )
+        used = f"{significant(shown.log.coverage.seconds)} s used"
+        note = f"{describe_identified_log(shown)}; {_describe_findings(shown.log)}"
+        figures.append(KeyFigure("Log", used, note.replace(f", {used}", "")))
     return tuple(figures)
+
+
+def given_options(estimate: Estimate) -> Mapping[str, Any]:
+    """Return the options of an identification; empty if they are unknown."""
+    return {} if estimate.provenance is None else estimate.provenance.options
+
+
+def describe_identified_log(result: MethodResult) -> str:
+    """Return the log of an identification, the part that was read, and earlier information."""
+    assert result.estimate is not None
+    assert result.log is not None
+    coverage, options = result.log.coverage, given_options(result.estimate)
+    text = coverage.log
+    if options.get("start"):
+        text += f" from {options['start']:g} s"
+    if options.get("stop"):
+        text += f" until {options['stop']:g} s"
+    text += f", {significant(coverage.seconds)} s used"
+    earlier = options.get("information")
+    return f"{text}, after the logs in {earlier}" if earlier else text
+
+
+def describe_given(given: PredictedLog) -> str:
+    """Return the log that a report was given, and how much of it the identification used."""
+    name, used = given.data.coverage.log, given.seconds_used
+    if used <= 0:
+        return f"{name}, which the identification did not use"
+    if used < given.seconds - 1:
+        return f"{name}, of which the identification used {used:.0f} of {given.seconds:.0f} s"
+    return f"{name}, which the identification used"
 
 
 def _error_against_truth(content: ReportContent) -> list[KeyFigure]:
@@ -200,7 +228,7 @@ def _mass(summary: RobotSummary) -> KeyFigure:
 def _com(summary: RobotSummary) -> KeyFigure:
     posture = "mean posture" if summary.is_mean_posture else "zero posture"
     whose = "" if summary.is_floating else " of the moving links"
-    before = ", ".join(f"{1e3 * one:.1f}" for one in summary.com_before)
+    before = ", ".join(fixed(1e3 * one, 1) for one in summary.com_before)
     return KeyFigure(
         f"Centre of mass{whose}",
         "\n".join(
@@ -278,7 +306,7 @@ class ErrorBars:
 
 def error_bars(result: MethodResult) -> ErrorBars | None:
     """Return the error of each joint before and after, or of the base without joints."""
-    forces = None if result.log is None else result.log.forces
+    forces = None if result.drawn is None else result.drawn.forces
     holdout = None if result.estimate is None else result.estimate.holdout
     trial = "Last part of the log, predicted by a trial identification without it."
     if forces is not None:
@@ -290,8 +318,12 @@ def error_bars(result: MethodResult) -> ErrorBars | None:
             )
             if np.isfinite(row[1])
         ]
-        used = "On data that the identification used, or on the given bag."
-        return _scaled(rows, trial if forces.is_held_out else used)
+        if forces.is_held_out:
+            return _scaled(rows, trial)
+        where = "data that the identification used"
+        return _scaled(
+            rows, f"On {where if result.given is None else describe_given(result.given)}."
+        )
     if holdout is None or not holdout.coordinates:
         return None
     pairs = holdout.coordinates.items()

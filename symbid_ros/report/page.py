@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from symbid_ros.atomic_write import write_text
 from symbid_ros.choices import TERMS
-from symbid_ros.estimation.estimate import Estimate, HoldOut
-from symbid_ros.identification.report_data import ForceSeries
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.identification.report_data import Coverage, ForceSeries
 from symbid_ros.report.content import (
     METRICS,
     REALISTIC_METRICS,
@@ -28,7 +30,15 @@ from symbid_ros.report.figures import (
     signal_panels,
     torque_signals,
 )
-from symbid_ros.report.first_screen import describe_measured, error_bars, key_figures, recommend
+from symbid_ros.report.first_screen import (
+    describe_given,
+    describe_identified_log,
+    describe_measured,
+    error_bars,
+    given_options,
+    key_figures,
+    recommend,
+)
 from symbid_ros.report.formatting import ABSENT, significant, with_std
 from symbid_ros.report.interactive import figure_css, figure_data, figure_script, script_json
 from symbid_ros.report.log_bars import joint_ranges, timeline
@@ -36,6 +46,7 @@ from symbid_ros.report.log_figures import (
     base_panels,
     drawn_forces,
     force_panels,
+    has_block_gaps,
     has_hidden_errors,
     shown_joints,
     spectrum_panels,
@@ -48,6 +59,9 @@ from symbid_ros.report.templates import page_template, shared_css
 
 # Links to the pages that explain a section.
 DOCUMENTATION = "https://symbid-ros.github.io/symbid_ros"
+
+# Results predict the same data if the ends of their parts differ by less than this share.
+DIFFERENT_ENDS = 0.1
 
 # In a direction of parameter space, such as "+0.72 base_link/m -0.37 link_0/mc_x".
 _COEFFICIENT = re.compile(r"([+-])(\d\S*) ")
@@ -81,7 +95,7 @@ def render(content: ReportContent) -> str:
     errors = {method.label: method.metrics or {} for method in content.methods}
     estimate, summary = content.estimate, content.shown.summary
     com_std = {} if summary is None else summary.link_com_std
-    log = content.shown.log
+    log, given = content.shown.drawn, content.shown.given
     forces = drawn_forces(log)
     prior_std = None if content.spread is None else content.spread.prior_std
     data = figure_data(content)
@@ -109,9 +123,13 @@ def render(content: ReportContent) -> str:
         "correlation": None if content.spread is None else correlation_image(content.spread),
         "changes": largest_changes(estimate, prior_std),
         "compared": None if any(errors.values()) else compared_results(content.results),
-        "forces": None if forces is None else _forces(forces, estimate.holdout),
+        "forces": None if forces is None else _forces(content.shown, forces),
         "log": None if log is None else log.coverage,
-        "timeline": None if log is None else timeline(log.coverage, log.forces),
+        "is_given": given is not None,
+        "origin": _origin(content),
+        "timeline": None
+        if log is None
+        else timeline(log.coverage, log.forces, "used" if given is None else "with data"),
         "ranges": () if log is None else joint_ranges(log.coverage, content.limits),
         "missing": _missing(content.shown),
         "metrics": METRICS if any(errors.values()) else (),
@@ -155,7 +173,7 @@ def _sections(shown: dict[str, Any]) -> tuple[tuple[str, str], ...]:
         (shown["realistic"], "realistic", "From the robot’s own sensors"),
         (shown["content"].truncations, "truncation", "Choice of z"),
         (shown["verdict"], "data-summary", "What the data determine"),
-        (shown["log"], "log", "The log"),
+        (shown["log"], "log", "The given bag" if shown["is_given"] else "The log"),
         (True, "possible", "Physical consistency"),
         (True, "parameters", "Parameters"),
         (True, "data", "Origin"),
@@ -176,7 +194,18 @@ class ForcePanels:
     base_panels: tuple[Panel, ...]
 
 
-def _forces(forces: ForceSeries, holdout: HoldOut | None) -> ForcePanels:
+def _origin(content: ReportContent) -> dict[str, str]:
+    """Return the log of the identification, and what else describes data and processing."""
+    shown = content.shown
+    identified = {} if shown.log is None else {"Log": describe_identified_log(shown)}
+    return identified | content.metadata
+
+
+def _forces(result: MethodResult, forces: ForceSeries) -> ForcePanels:
+    given, estimate = result.given, result.estimate
+    assert estimate is not None
+    assert result.drawn is not None
+    holdout = estimate.holdout
     seconds = significant(forces.stop - forces.start)
     if forces.is_held_out:
         # As in the summary of the trial; rows start and end half a window within.
@@ -186,11 +215,19 @@ def _forces(forces: ForceSeries, holdout: HoldOut | None) -> ForcePanels:
             "out."
         )
     else:
-        what = f"{seconds} s of a log, predicted by the identified model. It may have used them."
+        which = "the log, which the identification used" if given is None else describe_given(given)
+        what = f"{seconds} s of {which}, predicted by the identified model."
     shown = forces.time[-1] - forces.time[0] if len(forces.time) else 0.0
     if shown < 0.9 * (forces.stop - forces.start):
         what += f" Shown are the {significant(float(shown))} s in which forces change most."
     what += " Errors have an axis of their own."
+    if given is None and (start := given_options(estimate).get("start")):
+        what += f" Time counts from the start of the part that was read, {start:g} s into the bag."
+    if has_block_gaps(forces, result.drawn.coverage):
+        what += (
+            " Curves have a gap at the end of each block of data, 4 s in most logs, because "
+            "averages do not cross it."
+        )
     if has_hidden_errors(forces):
         what += " Errors of the original model that exceed the measured force are cut off."
     return ForcePanels(
@@ -217,9 +254,9 @@ def _describe_choice(forces: ForceSeries) -> str:
 
 def _missing(result: MethodResult) -> str:
     """Return what a result without data of its log lacks, as HTML."""
-    if result.log is None:
+    if result.drawn is None:
         what = "measured forces, errors, and the motion of the log"
-    elif drawn_forces(result.log) is None:
+    elif drawn_forces(result.drawn) is None:
         what = "measured forces and errors, because the log is too short"
     else:
         return ""
@@ -297,13 +334,17 @@ class ComparedResults:
     labels : tuple of str
         Results that know the error of each joint.
     joints : tuple of (str, tuple of (str, bool))
-        Name of each joint and, for these results, its error and whether it is the smallest.
+        Name of each joint and, for these results, its error and whether it is the smallest; empty
+        if the errors are those of different data.
+    has_other_data : bool
+        Whether they are.
     """
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, tuple[str, ...]], ...]
     labels: tuple[str, ...]
     joints: tuple[tuple[str, tuple[tuple[str, bool], ...]], ...]
+    has_other_data: bool
 
 
 def compared_results(results: Sequence[MethodResult]) -> ComparedResults | None:
@@ -316,7 +357,8 @@ def compared_results(results: Sequence[MethodResult]) -> ComparedResults | None:
         assert estimate is not None
         held_out, verdict = estimate.holdout, estimate.verdict
         alarms = ABSENT if verdict is None else str(len(verdict.alarms) or "none")
-        cells = {
+        cells = {"Log": describe_identified_log(result)} if result.log is not None else {}
+        cells |= {
             "Error on data held out": ABSENT if held_out is None else held_out.summary,
             "Alarms": alarms,
             "Joint terms": estimate.describe_terms() or _named_terms(estimate) or "none",
@@ -326,18 +368,40 @@ def compared_results(results: Sequence[MethodResult]) -> ComparedResults | None:
             cells["Mass"] = f"{with_std(summary.mass, summary.mass_std)} kg"
         columns |= dict.fromkeys(cells)
         rows.append((result.label, cells))
-    known = {
-        result.label: dict(zip(result.log.forces.coordinates, errors, strict=True))
+    predicted = {
+        result.label: (log.coverage, log.forces)
         for result in results
-        if result.log is not None and result.log.forces is not None
-        for errors in [result.log.forces.rmse_after.tolist()]
+        if (log := result.drawn) is not None and log.forces is not None
+    }
+    is_same = are_of_same_data([*predicted.values()])
+    known = {
+        label: dict(zip(forces.coordinates, forces.rmse_after.tolist(), strict=True))
+        for label, (_, forces) in predicted.items()
+        if is_same
     }
     return ComparedResults(
         tuple(columns),
         tuple((label, tuple(cells.get(name, ABSENT) for name in columns)) for label, cells in rows),
         tuple(known) if len(known) > 1 else (),
         _joint_errors(known) if len(known) > 1 else (),
+        not is_same,
     )
+
+
+def are_of_same_data(predicted: Sequence[tuple[Coverage, ForceSeries]]) -> bool:
+    """Return whether forces are those of the same part of one log, apart from its ends.
+
+    Parts begin and end with windows, whose lengths differ between results.
+    """
+    if not predicted:
+        return True
+    first = predicted[0][0].begin
+    ends = np.array(
+        [[1e-9 * (log.begin - first) + t for t in (f.start, f.stop)] for log, f in predicted]
+    )
+    tolerance = DIFFERENT_ENDS * float(np.max(ends[:, 1] - ends[:, 0]))
+    is_one_log = len({log.log for log, _ in predicted}) == 1
+    return is_one_log and bool(np.max(np.ptp(ends, axis=0)) <= tolerance)
 
 
 def _joint_errors(

@@ -197,4 +197,4 @@ def test_key_figures_name_what_was_measured_and_what_the_doctor_found():
     figures = {one.title: one for one in key_figures(content_of_a_log(4))}
     assert figures["Measured"].value == "2 of 50"
     assert figures["Log"].value == "39.0 s used"
-    assert figures["Log"].note == "the doctor found 1 fault"
+    assert figures["Log"].note == "walk_bag; the doctor found 1 fault"

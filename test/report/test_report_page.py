@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from report_pages import Page, content, estimate, series
+from report_pages import Page, content, content_of_a_log, estimate, series
 
 from symbid_ros.errors import EstimateError
 from symbid_ros.model.inertia import PARAMETERS
@@ -209,3 +209,30 @@ class TestContentIsChecked:
     def test_errors_have_one_value_for_each_link(self) -> None:
         with pytest.raises(EstimateError, match="2 links"):
             LinkErrors(("a", "b"), {"prior": np.ones(3)})
+
+
+def page_of_two(**part: float) -> str:
+    """Two results of one log, of which one predicts another part of it."""
+    one = content_of_a_log(2)
+    log = one.shown.log
+    moved = replace(log, forces=replace(log.forces, **part))
+    methods = (replace(one.shown, label="first", log=moved), *one.methods)
+    return render(replace(one, methods=methods))
+
+
+def test_errors_of_each_joint_are_compared_on_the_same_data_only() -> None:
+    assert "the smallest is bold" in page_of_two(start=20.08)
+    page = page_of_two(start=6.0, stop=8.0)
+    assert "the smallest is bold" not in page
+    assert "those of different data" in page
+
+
+def test_the_caption_explains_gaps_between_blocks() -> None:
+    base = content_of_a_log(2)
+    forces = base.shown.log.forces
+    assert "gap at the end of each block" not in render(base)
+    time = np.where(forces.time >= 24, forces.time + 0.4, forces.time)
+    log = replace(base.shown.log, forces=replace(forces, time=time, stop=40.4))
+    used = np.array([[0.0, 41.0]])
+    one = replace(base.shown, log=replace(log, coverage=replace(log.coverage, used=used)))
+    assert "gap at the end of each block" in render(replace(base, methods=(one,)))
