@@ -34,12 +34,14 @@ from symbid_ros.report.content import (
     TruncationChoice,
 )
 from symbid_ros.report.formatting import counted
+from symbid_ros.report.payloads import payloads
 from symbid_ros.report.robot_scene import robot_scene
 from symbid_ros.report.saved_results import ReportedResult
 from symbid_ros.signals.log import Log
 
 # WLS-RC with z chosen from the log, next to WLS-RC with z chosen from validation data.
 OWN_Z = "WLS-RC, own z"
+ROUNDING = 1e-9  # of errors, in their units
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,7 @@ def compose(
             deviation_factor=shown.deviation_factor,
         ),
         spread=parameter_spread(shown.estimate, shown.deviations, shown.prior_std),
+        payloads=payloads(shown.estimate, shown.deviations),
     )
     if ground_truth is None:
         return content
@@ -208,7 +211,8 @@ def _add_evaluation(
         content,
         joint_names=parameters.model.joint_names,
         methods=tuple(
-            replace(method, metrics=asdict(errors[method.label])) for method in content.methods
+            replace(method, metrics=_without_rounding(errors[method.label]))
+            for method in content.methods
         ),
         predictions=tuple(
             prediction_series(label, parameters, vectors[label], motion)
@@ -221,11 +225,16 @@ def _add_evaluation(
         intervals=intervals,
         realistic={label: asdict(metrics) for label, metrics in realistic.items()},
         truncations=tuple(
-            TruncationChoice(*key, estimate.rank, asdict(errors[" ".join(key)]))
+            TruncationChoice(*key, estimate.rank, _without_rounding(errors[" ".join(key)]))
             for key, estimate in truncations.items()
             if estimate.rank is not None
         ),
     )
+
+
+def _without_rounding(errors: Metrics) -> dict[str, float]:
+    """Return errors in which those of the order of rounding are zero, as the truth's are."""
+    return {name: 0.0 if value < ROUNDING else value for name, value in asdict(errors).items()}
 
 
 def prediction_series(

@@ -282,11 +282,14 @@ class ErrorBars:
         What full length means.
     note : str
         Where the errors come from.
+    title : str
+        What has bars.
     """
 
     bars: tuple[ErrorBar, ...]
     scale: str
     note: str
+    title: str
 
     @property
     def has_cut(self) -> bool:
@@ -379,9 +382,14 @@ def _scaled(rows: Sequence[ErrorRow], note: str) -> ErrorBars | None:
             )
         )
     order = np.argsort(-np.maximum(before, after) / scale, kind="stable")
-    unit = "% of the joint’s measured torque" if is_relative else "Nm or N"
+    quantity = "torque" if all(row.unit == "Nm" for row in rows) else "torque or force"
+    unit = f"% of the measured {quantity}" if is_relative else "Nm or N"
+    has_sensors = any("/" in row.name and not row.name.startswith("base/") for row in rows)
     return ErrorBars(
-        tuple(bars[index] for index in order.tolist()), f"{significant(longest, 2)} {unit}", note
+        tuple(bars[index] for index in order.tolist()),
+        f"{significant(longest, 2)} {unit}",
+        note,
+        "Error on each joint and sensor axis" if has_sensors else "Error on each joint",
     )
 
 

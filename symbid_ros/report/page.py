@@ -91,6 +91,7 @@ def render(content: ReportContent) -> str:
     filters = {
         "unbroken": lambda direction: _COEFFICIENT.sub(_unbroken, direction),
         "variable": colour_variable,
+        "option_text": option_text,
     }
     errors = {method.label: method.metrics or {} for method in content.methods}
     estimate, summary = content.estimate, content.shown.summary
@@ -114,6 +115,7 @@ def render(content: ReportContent) -> str:
         "bars": error_bars(content.shown),
         "robot_picture": robot.still_svg if robot else "",
         "robot_view": robot.html if robot else "",
+        "missing_boxes": _missing_boxes(content),
         "verdict": estimate.verdict,
         "measured": describe_measured(estimate),
         "entries": verdict_entries(estimate),
@@ -167,6 +169,7 @@ def _sections(shown: dict[str, Any]) -> tuple[tuple[str, str], ...]:
     every: list[tuple[Any, str, str]] = [
         (shown["compared"], "compared", "Side by side"),
         (shown["forces"], "forces", "Forces"),
+        (shown["content"].payloads, "payload", "Payload"),
         (shown["robot_view"], "robot", "The robot"),
         (shown["metrics"], "methods", "Methods"),
         *((True, figure.anchor, figure.title) for figure in shown["figures"]),
@@ -192,6 +195,17 @@ class ForcePanels:
     speed_panels: tuple[Panel, ...]
     spectrum_panels: tuple[Panel, ...]
     base_panels: tuple[Panel, ...]
+
+
+def _missing_boxes(content: ReportContent) -> str:
+    """Return the links whose original inertia has no box, as a sentence; may be empty."""
+    links = () if content.robot is None else content.robot.links
+    original = dict(zip(content.estimate.names, content.estimate.prior.tolist(), strict=True))
+    missing = [link.name for link in links if link.before is None and original[f"{link.name}/m"]]
+    if not missing:
+        return ""
+    which = f"{len(missing)} of {len(links)} links" if len(missing) > 3 else ", ".join(missing)
+    return f"Without a box of the original model, whose inertia no rigid body has: {which}."
 
 
 def _origin(content: ReportContent) -> dict[str, str]:
@@ -314,6 +328,15 @@ def _figures(content: ReportContent) -> tuple[FigureSection, ...]:
             )
         )
     return tuple(sections)
+
+
+def option_text(value: Any) -> str:
+    """Return the value of an option as text."""
+    if value is None or value in ([], ""):
+        return "not given"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def impossible_links(consistent: dict[str, bool]) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from report_pages import Page, content, content_of_a_log, estimate, series
 from symbid_ros.errors import EstimateError
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.content import LinkErrors, ReportContent
-from symbid_ros.report.page import DOCUMENTATION, render, write_report
+from symbid_ros.report.page import DOCUMENTATION, option_text, render, write_report
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -236,3 +236,14 @@ def test_the_caption_explains_gaps_between_blocks() -> None:
     used = np.array([[0.0, 41.0]])
     one = replace(base.shown, log=replace(log, coverage=replace(log.coverage, used=used)))
     assert "gap at the end of each block" in render(replace(base, methods=(one,)))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        *((absent, "not given") for absent in (None, [], "")),
+        *((False, "no"), (True, "yes"), (0.0, "0.0"), (["a", "b"], "a, b")),
+    ],
+)
+def test_options_that_were_not_given_say_so(value: object, text: str) -> None:
+    assert option_text(value) == text
