@@ -303,7 +303,7 @@ def report(
         content = compose(
             dict(zip(names, found, strict=True)),
             chosen=names[-1],
-            metadata=metadata | describe_estimate(shown.estimate),
+            metadata=describe_estimate(shown.estimate) | metadata,
             ground_truth=ground_truth,
         )
         write_report(content, out)

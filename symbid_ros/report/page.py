@@ -430,13 +430,14 @@ def are_of_same_data(predicted: Sequence[tuple[Coverage, ForceSeries]]) -> bool:
 def _joint_errors(
     known: Mapping[str, Mapping[str, float]],
 ) -> tuple[tuple[str, tuple[tuple[str, bool], ...]], ...]:
-    """Return the error at each coordinate that every result predicts, with the smallest marked."""
+    """Return the error at each coordinate that every result predicts, and mark the smallest."""
     first = next(iter(known.values()))
     joints = []
     for name in first:
         errors = [one.get(name, float("nan")) for one in known.values()]
         if not name.startswith("base/") and all(map(math.isfinite, errors)):
-            joints.append((name, tuple((significant(e), e == min(errors)) for e in errors)))
+            texts, smallest = [*map(significant, errors)], significant(min(errors))
+            joints.append((name, tuple((text, text == smallest) for text in texts)))
     return tuple(joints)
 
 

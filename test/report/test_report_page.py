@@ -11,7 +11,13 @@ from report_pages import Page, content, content_of_a_log, estimate, series
 from symbid_ros.errors import EstimateError
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.content import LinkErrors, ReportContent
-from symbid_ros.report.page import DOCUMENTATION, option_text, render, write_report
+from symbid_ros.report.page import (
+    DOCUMENTATION,
+    compared_results,
+    option_text,
+    render,
+    write_report,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -247,3 +253,15 @@ def test_the_caption_explains_gaps_between_blocks() -> None:
 )
 def test_options_that_were_not_given_say_so(value: object, text: str) -> None:
     assert option_text(value) == text
+
+
+def test_errors_that_read_alike_are_marked_alike() -> None:
+    one = content_of_a_log(2)
+    log = one.shown.log
+    slightly = replace(
+        log, forces=replace(log.forces, rmse_after=log.forces.rmse_after * (1 + 1e-9))
+    )
+    compared = compared_results((replace(one.shown, label="first", log=slightly), one.shown))
+    assert compared is not None
+    assert compared.joints
+    assert all(is_best for _, errors in compared.joints for _, is_best in errors)
