@@ -1,8 +1,8 @@
 """What a reader sees first: whether to use the model, its mass, and its error on held-out data."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -11,10 +11,11 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.error_changes import describe_files, percent, percent_change
 from symbid_ros.identification.force_errors import differ_relevantly
 from symbid_ros.identification.holdout import REPEATED
-from symbid_ros.identification.report_data import PredictedLog, ReportData
+from symbid_ros.identification.report_data import ReportData
 from symbid_ros.report.content import PRIOR, MethodResult, ReportContent
 from symbid_ros.report.formatting import ABSENT, fixed, significant, with_std
 from symbid_ros.report.robot_summary import RobotSummary
+from symbid_ros.report.shown_log import describe_given, describe_identified_log
 
 # Bars that exceed this multiple of the third quartile are cut off.
 OUTLIER = 3.0
@@ -159,36 +160,6 @@ def key_figures(content: ReportContent) -> tuple[KeyFigure, ...]:
         note = f"{describe_identified_log(shown)}; {_describe_findings(shown.log)}"
         figures.append(KeyFigure("Log", used, note.replace(f", {used}", "")))
     return tuple(figures)
-
-
-def given_options(estimate: Estimate) -> Mapping[str, Any]:
-    """Return the options of an identification; empty if they are unknown."""
-    return {} if estimate.provenance is None else estimate.provenance.options
-
-
-def describe_identified_log(result: MethodResult) -> str:
-    """Return the log of an identification, the part that was read, and earlier information."""
-    assert result.estimate is not None
-    assert result.log is not None
-    coverage, options = result.log.coverage, given_options(result.estimate)
-    text = coverage.log
-    if options.get("start"):
-        text += f" from {options['start']:g} s"
-    if options.get("stop"):
-        text += f" until {options['stop']:g} s"
-    text += f", {significant(coverage.seconds)} s used"
-    earlier = options.get("information")
-    return f"{text}, after the logs in {earlier}" if earlier else text
-
-
-def describe_given(given: PredictedLog) -> str:
-    """Return the log that a report was given, and how much of it the identification used."""
-    name, used = given.data.coverage.log, given.seconds_used
-    if used <= 0:
-        return f"{name}, which the identification did not use"
-    if used < given.seconds - 1:
-        return f"{name}, of which the identification used {used:.0f} of {given.seconds:.0f} s"
-    return f"{name}, which the identification used"
 
 
 def _error_against_truth(content: ReportContent) -> list[KeyFigure]:

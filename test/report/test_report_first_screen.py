@@ -200,7 +200,7 @@ def test_key_figures_name_what_was_measured_and_what_the_doctor_found():
     assert figures["Log"].note == "walk_bag; the doctor found 1 fault"
 
 
-def test_forces_of_a_wrist_sensor_are_no_torques_of_joints():
+def test_bars_with_forces_of_a_wrist_sensor_say_torque_or_force():
     base = content_of_a_log(4).shown
     plain = error_bars(base)
     assert (plain.title, plain.scale.partition("% ")[2]) == (

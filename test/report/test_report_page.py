@@ -13,11 +13,11 @@ from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.content import LinkErrors, ReportContent
 from symbid_ros.report.page import (
     DOCUMENTATION,
-    compared_results,
     option_text,
     render,
     write_report,
 )
+from symbid_ros.report.side_by_side import compared_results
 
 ROOT = Path(__file__).resolve().parents[2]
 
