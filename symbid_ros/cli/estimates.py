@@ -259,7 +259,7 @@ def report(
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import load_bag, read_realistic_motion, read_true_motion
     from symbid_ros.progress import report as step
-    from symbid_ros.report.compose import GroundTruth, compose, describe_estimate, describe_log
+    from symbid_ros.report.compose import GroundTruth, compose, describe_estimate, describe_given
     from symbid_ros.report.page import write_report
     from symbid_ros.report.saved_results import labels, load_result, with_forces_of
     from symbid_ros.report.templates import is_page
@@ -298,12 +298,12 @@ def report(
                 read_true_motion(bag, true_robot, internal), true_robot, noisy
             )
         names = labels(folders, [one.estimate for one in found])
-        metadata = {} if recording is None else describe_log(recording)
+        metadata = {} if recording is None else describe_given(recording)
         step("drawing the report")
         content = compose(
             dict(zip(names, found, strict=True)),
             chosen=names[-1],
-            metadata=metadata | describe_estimate(shown.estimate),
+            metadata=describe_estimate(shown.estimate) | metadata,
             ground_truth=ground_truth,
         )
         write_report(content, out)

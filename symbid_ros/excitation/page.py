@@ -13,6 +13,7 @@ from symbid_ros.report.templates import page_template, shared_css
 
 WIDTH, HEIGHT, LEFT, BOTTOM = 300, 170, 46, 16  # of a panel, px
 POINTS = 300  # of a curve
+KINDS = "position", "velocity", "acceleration", "effort"
 GRID = (100, 50, 0, -50, -100)  # percent
 
 
@@ -30,6 +31,7 @@ def render_page(plan: ExcitationPlan) -> str:
         height=HEIGHT,
         left=LEFT,
         grid=[{"y": _height(one / 100), "label": f"{one} %".replace("-", "−")} for one in GRID],
+        kinds=KINDS,
         panels=_panels(plan),
         joints=plan.joints.names,
         usage=plan.usage(),
@@ -78,9 +80,13 @@ def _panels(plan: ExcitationPlan) -> list[dict[str, Any]]:
     kinds = {
         "position": (motion[0] - limits.centre) / limits.half_width,
         "velocity": motion[1] / limits.speed,
+        "acceleration": motion[2] / limits.acceleration,
         "effort": torque / limits.effort,
     }
-    shares = options.position_share, options.speed_share, options.effort_share
+    speed = options.speed_share
+    shares = dict(
+        zip(KINDS, (options.position_share, speed, speed, options.effort_share), strict=True)
+    )
     panels = []
     for index, name in enumerate(plan.joints.names):
         sides = (limits.lower[index], limits.upper[index])
@@ -90,9 +96,14 @@ def _panels(plan: ExcitationPlan) -> list[dict[str, Any]]:
             {
                 "joint": name,
                 "curves": {kind: _path(values[:, index]) for kind, values in kinds.items()},
-                "allowed": [_height(sign * share) for share in shares for sign in (1, -1)],
+                "allowed": [
+                    (kind, _height(sign * share))
+                    for kind, share in shares.items()
+                    for sign in (1, -1)
+                ],
                 "range": f"{low:.3g} to {high:.3g} {'m' if slides else '°'}, "
                 f"{limits.speed[index]:.3g} {'m' if slides else 'rad'}/s, "
+                f"{limits.acceleration[index]:.3g} {'m' if slides else 'rad'}/s², "
                 f"{limits.effort[index]:.3g} {'N' if slides else 'Nm'}".replace("-", "−"),
             }
         )

@@ -117,6 +117,11 @@ class Coverage:
         """Time to the end of the last used part, s."""
         return float(self.used[-1, 1]) if len(self.used) else 0.0
 
+    @property
+    def seconds(self) -> float:
+        """Length of all used parts, s."""
+        return float(np.sum(self.used[:, 1] - self.used[:, 0]))
+
 
 @dataclass(frozen=True)
 class ParameterSpread:
@@ -164,6 +169,22 @@ class ReportData:
                     f"{name}.{one.name}": _packed(getattr(part, one.name)) for one in fields(part)
                 }
         write_through(path, lambda stream: np.savez_compressed(stream, **content))
+
+
+@dataclass(frozen=True)
+class PredictedLog:
+    """A log whose forces a result predicts, beside the log that it was identified from.
+
+    Attributes
+    ----------
+    data : ReportData
+    seconds, seconds_used : float
+        Length of the log, and of its part that the identification used, s.
+    """
+
+    data: ReportData
+    seconds: float
+    seconds_used: float
 
 
 def load_report_data(folder: Path) -> ReportData | None:

@@ -16,6 +16,7 @@ from symbid_ros.identification.report_data import (
     Coverage,
     ForceSeries,
     ParameterSpread,
+    PredictedLog,
     ReportData,
 )
 from symbid_ros.identification.solver import Identification
@@ -297,7 +298,7 @@ def report_data(
     )
 
 
-def report_data_of(predictor: ForcePredictor, log: Log) -> ReportData:
+def predicted_log(predictor: ForcePredictor, log: Log) -> PredictedLog:
     """Return what a report shows of any log of an identified robot.
 
     Raises
@@ -308,7 +309,7 @@ def report_data_of(predictor: ForcePredictor, log: Log) -> ReportData:
     model, trace = predictor.parameters.model, PositionTrace()
     streams = StreamChecks(model)
     segments = AlignedLog(log, model, checks=streams)
-    efforts = validate_segments(predictor, trace.of(segments), log.source).efforts
+    validation = validate_segments(predictor, trace.of(segments), log.source)
     checks = LogChecks(tuple(streams.findings(log.source)), spans=streams.spans)
     stamp, position = np.concatenate(trace.stamps), np.concatenate(trace.positions)
     stride = round(PROBE_PERIOD / TRACE_PERIOD)
@@ -322,7 +323,8 @@ def report_data_of(predictor: ForcePredictor, log: Log) -> ReportData:
     )
     window = predictor.settings.window or 0.0
     forces = force_series(
-        efforts, model, trace, begin=found.begin, window=window, is_held_out=False
+        validation.efforts, model, trace, begin=found.begin, window=window, is_held_out=False
     )
     names = predictor.parameters.names
-    return ReportData(forces, found, ParameterSpread(names, np.zeros(0), np.zeros(len(names))))
+    data = ReportData(forces, found, ParameterSpread(names, np.zeros(0), np.zeros(len(names))))
+    return PredictedLog(data, validation.seconds, validation.seconds_used)

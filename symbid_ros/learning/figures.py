@@ -16,7 +16,7 @@ from symbid_ros.report.plotting import figure_style
 ALONE, LEARNING, TRUE = "file alone", "learning", "true model"
 COLOURS = {ALONE: "#d55e00", LEARNING: "#0072b2", TRUE: "#3a3a3a"}
 WINDOW = 1.0  # s, over which errors and shares are taken
-SIZE = (7.2, 2.5)  # inches
+SIZE = (5.0, 2.4)  # inches
 
 
 @dataclass(frozen=True)

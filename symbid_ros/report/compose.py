@@ -34,12 +34,14 @@ from symbid_ros.report.content import (
     TruncationChoice,
 )
 from symbid_ros.report.formatting import counted
+from symbid_ros.report.payloads import payloads
 from symbid_ros.report.robot_scene import robot_scene
 from symbid_ros.report.saved_results import ReportedResult
 from symbid_ros.signals.log import Log
 
 # WLS-RC with z chosen from the log, next to WLS-RC with z chosen from validation data.
 OWN_Z = "WLS-RC, own z"
+ROUNDING = 1e-9  # of errors, in their units
 
 
 @dataclass(frozen=True)
@@ -100,13 +102,19 @@ def compose(
     Raises
     ------
     EstimateError
-        When the ground truth is of another robot.
+        When the results are of different robots, or the ground truth is of another one.
     """
     shown = results[chosen]
     model = shown.parameters.model
+    for label, one in results.items():
+        if one.parameters.model.coordinates != model.coordinates:
+            raise EstimateError(
+                f"{label}: its joints are not those of {chosen}; report results of one robot",
+                "E512",
+            )
     methods = [MethodResult(PRIOR, None, None)]
     methods += [
-        MethodResult(label, one.estimate, None, one.summary, one.log)
+        MethodResult(label, one.estimate, None, one.summary, one.log, one.given)
         for label, one in results.items()
     ]
     if ground_truth is not None:
@@ -126,6 +134,7 @@ def compose(
             deviation_factor=shown.deviation_factor,
         ),
         spread=parameter_spread(shown.estimate, shown.deviations, shown.prior_std),
+        payloads=payloads(shown.estimate, shown.deviations),
     )
     if ground_truth is None:
         return content
@@ -202,7 +211,8 @@ def _add_evaluation(
         content,
         joint_names=parameters.model.joint_names,
         methods=tuple(
-            replace(method, metrics=asdict(errors[method.label])) for method in content.methods
+            replace(method, metrics=_without_rounding(errors[method.label]))
+            for method in content.methods
         ),
         predictions=tuple(
             prediction_series(label, parameters, vectors[label], motion)
@@ -215,11 +225,16 @@ def _add_evaluation(
         intervals=intervals,
         realistic={label: asdict(metrics) for label, metrics in realistic.items()},
         truncations=tuple(
-            TruncationChoice(*key, estimate.rank, asdict(errors[" ".join(key)]))
+            TruncationChoice(*key, estimate.rank, _without_rounding(errors[" ".join(key)]))
             for key, estimate in truncations.items()
             if estimate.rank is not None
         ),
     )
+
+
+def _without_rounding(errors: Metrics) -> dict[str, float]:
+    """Return errors in which those of the order of rounding are zero, as the truth's are."""
+    return {name: 0.0 if value < ROUNDING else value for name, value in asdict(errors).items()}
 
 
 def prediction_series(
@@ -253,6 +268,12 @@ def describe_log(log: Log) -> dict[str, str]:
         "Duration": f"{seconds:.1f} s, {len(stamp)} joint states",
         "Sensors": ", ".join(sensors),
     }
+
+
+def describe_given(log: Log) -> dict[str, str]:
+    """Describe a log that a report was given beside the one of the identification."""
+    titles = {"Bag": "Given bag", "Duration": "Its duration", "Sensors": "Its sensors"}
+    return {titles[name]: text for name, text in describe_log(log).items()}
 
 
 def describe_estimate(estimate: Estimate) -> dict[str, str]:

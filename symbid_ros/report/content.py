@@ -10,7 +10,8 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.intervals import IntervalSummary
-from symbid_ros.identification.report_data import ReportData
+from symbid_ros.identification.report_data import PredictedLog, ReportData
+from symbid_ros.report.payloads import Payload
 from symbid_ros.report.robot_summary import RobotSummary
 
 if TYPE_CHECKING:
@@ -75,6 +76,12 @@ class MethodResult:
     metrics: dict[str, float] | None  # by Metric.key; None without ground truth
     summary: RobotSummary | None = None  # None for the prior and the truth
     log: ReportData | None = None  # what the result keeps of its log
+    given: PredictedLog | None = None  # another log, shown instead
+
+    @property
+    def drawn(self) -> ReportData | None:
+        """The log whose forces and motion are shown."""
+        return self.log if self.given is None else self.given.data
 
 
 @dataclass(frozen=True)
@@ -211,6 +218,8 @@ class ReportContent:
         Of the chosen method; None without covariance.
     robot : RobotScene or None
         The robot with the chosen method's parameters, in 3D.
+    payloads : tuple of Payload
+        What the chosen method found behind each wrist sensor.
     """
 
     title: str
@@ -227,6 +236,7 @@ class ReportContent:
     limits: dict[str, JointLimits] = field(default_factory=dict)
     spread: ParameterCorrelation | None = None
     robot: "RobotScene | None" = None
+    payloads: tuple[Payload, ...] = ()
 
     def __post_init__(self) -> None:
         labels = [method.label for method in self.methods]

@@ -75,7 +75,9 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
             "Whiteness",
             significant(white) if white > 0 else ABSENT,
             f"of the residuals, at most 1 for white noise; alarm above {SUSPICIOUS_WHITENESS:g} "
-            "unless the unexplained force is small",
+            "unless the unexplained force is small"
+            if white > 0
+            else "of the residuals is not known: the rows have windows of one length only",
             is_alarm=verdict.is_coloured,
             page="errors.html",
         ),

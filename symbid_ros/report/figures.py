@@ -127,7 +127,7 @@ def link_error_panel(errors: LinkErrors, styles: dict[str, Style]) -> Panel:
     note = f"mean over the links: {link_means(errors)}"
     title = "Error per link"
     with figure_style():
-        figure = link_error_figure(errors, errors.links, styles, width=6.2)
+        figure = link_error_figure(errors, errors.links, styles, width=4.6)
         return Panel(title, inline_svg(figure, "error-per-link", f"{title}; {note}"), note)
 
 
@@ -164,7 +164,10 @@ def link_error_figure(
     values = np.concatenate([np.zeros(0), *errors.percent.values()])
     scale_errors(axes, "x", values, LOGARITHMIC_ABOVE)
     figure.legend(
-        loc="outside upper left", ncols=min(4, len(labels)), frameon=False, handletextpad=0.2
+        loc="outside upper left",
+        ncols=min(4 if width > 5 else 3, len(labels)),
+        frameon=False,
+        handletextpad=0.2,
     )
     return figure
 

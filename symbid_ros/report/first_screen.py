@@ -13,8 +13,9 @@ from symbid_ros.identification.force_errors import differ_relevantly
 from symbid_ros.identification.holdout import REPEATED
 from symbid_ros.identification.report_data import ReportData
 from symbid_ros.report.content import PRIOR, MethodResult, ReportContent
-from symbid_ros.report.formatting import ABSENT, significant, with_std
+from symbid_ros.report.formatting import ABSENT, fixed, significant, with_std
 from symbid_ros.report.robot_summary import RobotSummary
+from symbid_ros.report.shown_log import describe_given, describe_identified_log
 
 # Bars that exceed this multiple of the third quartile are cut off.
 OUTLIER = 3.0
@@ -155,11 +156,9 @@ def key_figures(content: ReportContent) -> tuple[KeyFigure, ...]:
         )
     figures += _error_against_truth(content)
     if shown.log is not None:
-        coverage = shown.log.coverage
-        used = float(np.sum(coverage.used[:, 1] - coverage.used[:, 0]))
-        figures.append(
-            KeyFigure("Log", f"{significant(used)} s used", _describe_findings(shown.log))
-        )
+        used = f"{significant(shown.log.coverage.seconds)} s used"
+        note = f"{describe_identified_log(shown)}; {_describe_findings(shown.log)}"
+        figures.append(KeyFigure("Log", used, note.replace(f", {used}", "")))
     return tuple(figures)
 
 
@@ -200,7 +199,7 @@ def _mass(summary: RobotSummary) -> KeyFigure:
 def _com(summary: RobotSummary) -> KeyFigure:
     posture = "mean posture" if summary.is_mean_posture else "zero posture"
     whose = "" if summary.is_floating else " of the moving links"
-    before = ", ".join(f"{1e3 * one:.1f}" for one in summary.com_before)
+    before = ", ".join(fixed(1e3 * one, 1) for one in summary.com_before)
     return KeyFigure(
         f"Centre of mass{whose}",
         "\n".join(
@@ -254,11 +253,14 @@ class ErrorBars:
         What full length means.
     note : str
         Where the errors come from.
+    title : str
+        What has bars.
     """
 
     bars: tuple[ErrorBar, ...]
     scale: str
     note: str
+    title: str
 
     @property
     def has_cut(self) -> bool:
@@ -278,7 +280,7 @@ class ErrorBars:
 
 def error_bars(result: MethodResult) -> ErrorBars | None:
     """Return the error of each joint before and after, or of the base without joints."""
-    forces = None if result.log is None else result.log.forces
+    forces = None if result.drawn is None else result.drawn.forces
     holdout = None if result.estimate is None else result.estimate.holdout
     trial = "Last part of the log, predicted by a trial identification without it."
     if forces is not None:
@@ -290,8 +292,12 @@ def error_bars(result: MethodResult) -> ErrorBars | None:
             )
             if np.isfinite(row[1])
         ]
-        used = "On data that the identification used, or on the given bag."
-        return _scaled(rows, trial if forces.is_held_out else used)
+        if forces.is_held_out:
+            return _scaled(rows, trial)
+        where = "data that the identification used"
+        return _scaled(
+            rows, f"On {where if result.given is None else describe_given(result.given)}."
+        )
     if holdout is None or not holdout.coordinates:
         return None
     pairs = holdout.coordinates.items()
@@ -347,9 +353,14 @@ def _scaled(rows: Sequence[ErrorRow], note: str) -> ErrorBars | None:
             )
         )
     order = np.argsort(-np.maximum(before, after) / scale, kind="stable")
-    unit = "% of the joint’s measured torque" if is_relative else "Nm or N"
+    quantity = "torque" if all(row.unit == "Nm" for row in rows) else "torque or force"
+    unit = f"% of the measured {quantity}" if is_relative else "Nm or N"
+    has_sensors = any("/" in row.name and not row.name.startswith("base/") for row in rows)
     return ErrorBars(
-        tuple(bars[index] for index in order.tolist()), f"{significant(longest, 2)} {unit}", note
+        tuple(bars[index] for index in order.tolist()),
+        f"{significant(longest, 2)} {unit}",
+        note,
+        "Error on each joint and sensor axis" if has_sensors else "Error on each joint",
     )
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from symbid_ros.estimation.fleet import FleetEstimate
 from symbid_ros.estimation.fleet_changes import LinkChange
 from symbid_ros.identification.fleet import describe_deviation, detectable_changes, fleet_verdict
-from symbid_ros.report.formatting import ABSENT, significant
+from symbid_ros.report.formatting import ABSENT, significant, with_std
 from symbid_ros.report.templates import page_template, shared_css
 
 COLUMNS = "kg", "± kg", "one robot ± kg", "detectable"
@@ -26,7 +26,7 @@ def render_fleet(found: FleetEstimate) -> str:
             "p_value": f"{one.p_value:.1g}",
             "evidence": f"{one.evidence:.0f}",
             "rows": [
-                (names[column], significant(change, 3), significant(std, 2), units[column])
+                (names[column], with_std(change, std), units[column])
                 for column, change, std in zip(
                     one.columns, one.change.tolist(), one.std.tolist(), strict=True
                 )
@@ -37,8 +37,7 @@ def render_fleet(found: FleetEstimate) -> str:
     parameters = [
         (
             name,
-            significant(float(found.common[i]), 4),
-            significant(float(found.common_std[i]), 2),
+            with_std(float(found.common[i]), float(found.common_std[i])),
             significant(float(single[i]), 2),
             units[i],
         )
@@ -50,9 +49,10 @@ def render_fleet(found: FleetEstimate) -> str:
         model=found.parameters.model.name,
         verdict=fleet_verdict(found),
         robots=found.robots,
-        links=fleet_rows(found),
+        links=[row[: len(COLUMNS) + 1] for row in fleet_rows(found)],
         columns=COLUMNS,
-        legend=LEGEND,
+        changes=change_table(found),
+        absent=ABSENT,
         spread=[(name, f"{100 * size:.2g}") for name, size in found.spread.items()],
         deviations=deviations,
         parameters=parameters,
@@ -79,7 +79,18 @@ def fleet_rows(found: FleetEstimate) -> list[list[str]]:
     return rows
 
 
+def change_table(found: FleetEstimate) -> tuple[tuple[str, ...], list[tuple[str, list[str]]]]:
+    """Return titles and rows of each robot's changes, with the fewer of links and robots across."""
+    robots, links = found.robots, found.parameters.link_names
+    cells = [[_change(one) for one in robot] for robot in found.link_changes]
+    if len(links) < len(robots):
+        return ("robot", *links), list(zip(robots, cells, strict=True))
+    by_link = [list(one) for one in zip(*cells, strict=True)]
+    return ("link", *robots), list(zip(links, by_link, strict=True))
+
+
 def _change(one: LinkChange | None) -> str:
     if one is None or not one.is_shown:
         return ABSENT
-    return f"{100 * one.relative:+.1f} ± {100 * one.std:.1f} %".replace("-", "−")
+    change = round(100 * one.relative, 1) + 0.0  # without the sign of a rounded zero
+    return f"{change:+.1f} ± {100 * one.std:.1f} %".replace("-", "−")

@@ -26,8 +26,7 @@ _VENDOR = _FOLDER / "vendored"
 def figure_data(content: ReportContent) -> dict[str, Any]:
     """Return what report.js draws; arrays are little-endian float32 in base64."""
     data: dict[str, Any] = {}
-    log = content.shown.log
-    if (forces := drawn_forces(log)) is not None:
+    if (forces := drawn_forces(content.shown.drawn)) is not None:
         amplitudes = [
             np.sqrt(power)
             for power in (forces.power_measured, forces.power_before, forces.power_after)

@@ -9,9 +9,11 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.identification.report_data import QUANTILES, Coverage, ForceSeries
 from symbid_ros.report.content import JointLimits
+from symbid_ros.report.first_screen import rounded_up
 from symbid_ros.report.formatting import significant
 
-TICKS = 4
+TICKS = 4  # at most, beside zero
+END_TOLERANCE = 0.005  # by which the last one may lie behind the end
 # A longer time without data or faults, s, is a pause between recordings; its width, %.
 LONGEST_IDLE, PAUSE_WIDTH = 5.0, 2.0
 MOST_LABELLED = 4  # parts between pauses
@@ -47,7 +49,7 @@ class Timeline:
     ticks: tuple[tuple[float, str], ...]
 
 
-def timeline(coverage: Coverage, forces: ForceSeries | None) -> Timeline:
+def timeline(coverage: Coverage, forces: ForceSeries | None, used_title: str = "used") -> Timeline:
     """Return the used times, the held-out part, and the faults of each topic."""
     axis = _TimeAxis.of(coverage)
 
@@ -62,17 +64,17 @@ def timeline(coverage: Coverage, forces: ForceSeries | None) -> Timeline:
         )
 
     used = coverage.used.tolist()
-    parts = [bar(start, stop, "used", "used") for start, stop in used]
+    parts = [bar(start, stop, "used", used_title) for start, stop in used]
     # Gaps that are too short to be seen between two bars are drawn over them.
     parts += [
         bar(stop, start, "break", "not used")
         for (_, stop), (start, _) in pairwise(used)
         if axis.place(start) - axis.place(stop) < LEAST_WIDTH
     ]
-    rows = [TimeRow("used", tuple(parts))]
+    rows = [TimeRow(used_title, tuple(parts))]
     if forces is not None:
-        kind = "held-out" if forces.is_held_out else "shown"
-        rows.append(TimeRow(kind.replace("-", " "), (bar(forces.start, forces.stop, kind, kind),)))
+        kind, title = ("held-out", "held out") if forces.is_held_out else ("shown", "predicted")
+        rows.append(TimeRow(title, (bar(forces.start, forces.stop, kind, title),)))
     topics = dict.fromkeys(one["stream"] for one in coverage.faults)
     for topic in topics:
         bars = tuple(
@@ -116,14 +118,15 @@ class _TimeAxis:
         return float(np.interp(time, self.times, self.places))
 
     def ticks(self) -> tuple[tuple[float, str], ...]:
-        """Return places and labels at equal distances, or of each part if there are pauses."""
+        """Return places and labels at round times, or of each part if there are pauses."""
         times = self.times
         if len(times) > 2:
             few = len(times) <= 2 * MOST_LABELLED
             times = np.append(times[::2], times[-1]) if few else times[[0, -1]]
-        else:
-            times = np.linspace(0, times[-1], TICKS + 1)
-        return tuple((self.place(time), f"{time:.4g} s") for time in times.tolist())
+            return tuple((self.place(time), f"{significant(time)} s") for time in times.tolist())
+        step, length = rounded_up(times[-1] / TICKS), times[-1] * (1 + END_TOLERANCE)
+        places = (step * np.arange(int(length / step) + 1)).tolist()
+        return tuple((self.place(time), f"{time:g} s") for time in places)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.identification.report_data import ForceSeries, ReportData
+from symbid_ros.identification.report_data import Coverage, ForceSeries, ReportData
 from symbid_ros.report.figures import Panel
 from symbid_ros.report.formatting import significant
 from symbid_ros.report.plotting import Style, downsample, figure_style, inline_svg
@@ -281,6 +281,17 @@ def pauses(time: FloatArray) -> IntArray:
     if not len(steps):
         return np.zeros(0, dtype=np.int64)
     return np.flatnonzero(steps > max(PAUSE, USUAL * float(np.median(steps)))) + 1
+
+
+def has_block_gaps(forces: ForceSeries, coverage: Coverage) -> bool:
+    """Return whether rows are missing at a time at which every sensor has data."""
+    time = forces.time
+    return any(
+        bool(
+            np.any((coverage.used[:, 0] <= time[place - 1]) & (time[place] <= coverage.used[:, 1]))
+        )
+        for place in pauses(time).tolist()
+    )
 
 
 def broken(values: FloatArray, places: IntArray) -> FloatArray:

@@ -1,15 +1,11 @@
 """Report on one estimate, or a comparison of several, as a self-contained HTML page."""
 
-import math
 import re
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from symbid_ros.atomic_write import write_text
-from symbid_ros.choices import TERMS
-from symbid_ros.estimation.estimate import Estimate, HoldOut
 from symbid_ros.identification.report_data import ForceSeries
 from symbid_ros.report.content import (
     METRICS,
@@ -29,13 +25,14 @@ from symbid_ros.report.figures import (
     torque_signals,
 )
 from symbid_ros.report.first_screen import describe_measured, error_bars, key_figures, recommend
-from symbid_ros.report.formatting import ABSENT, significant, with_std
+from symbid_ros.report.formatting import significant
 from symbid_ros.report.interactive import figure_css, figure_data, figure_script, script_json
 from symbid_ros.report.log_bars import joint_ranges, timeline
 from symbid_ros.report.log_figures import (
     base_panels,
     drawn_forces,
     force_panels,
+    has_block_gaps,
     has_hidden_errors,
     shown_joints,
     spectrum_panels,
@@ -44,6 +41,8 @@ from symbid_ros.report.log_figures import (
 from symbid_ros.report.matrices import correlation_image, determined_matrices, largest_changes
 from symbid_ros.report.plotting import Style, colour_variable, styles
 from symbid_ros.report.robot_view import robot_view
+from symbid_ros.report.shown_log import describe_given, describe_identified_log, given_options
+from symbid_ros.report.side_by_side import compared_results
 from symbid_ros.report.templates import page_template, shared_css
 
 # Links to the pages that explain a section.
@@ -77,11 +76,12 @@ def render(content: ReportContent) -> str:
     filters = {
         "unbroken": lambda direction: _COEFFICIENT.sub(_unbroken, direction),
         "variable": colour_variable,
+        "option_text": option_text,
     }
     errors = {method.label: method.metrics or {} for method in content.methods}
     estimate, summary = content.estimate, content.shown.summary
     com_std = {} if summary is None else summary.link_com_std
-    log = content.shown.log
+    log, given = content.shown.drawn, content.shown.given
     forces = drawn_forces(log)
     prior_std = None if content.spread is None else content.spread.prior_std
     data = figure_data(content)
@@ -100,6 +100,7 @@ def render(content: ReportContent) -> str:
         "bars": error_bars(content.shown),
         "robot_picture": robot.still_svg if robot else "",
         "robot_view": robot.html if robot else "",
+        "missing_boxes": _missing_boxes(content),
         "verdict": estimate.verdict,
         "measured": describe_measured(estimate),
         "entries": verdict_entries(estimate),
@@ -109,9 +110,13 @@ def render(content: ReportContent) -> str:
         "correlation": None if content.spread is None else correlation_image(content.spread),
         "changes": largest_changes(estimate, prior_std),
         "compared": None if any(errors.values()) else compared_results(content.results),
-        "forces": None if forces is None else _forces(forces, estimate.holdout),
+        "forces": None if forces is None else _forces(content.shown, forces),
         "log": None if log is None else log.coverage,
-        "timeline": None if log is None else timeline(log.coverage, log.forces),
+        "is_given": given is not None,
+        "origin": _origin(content),
+        "timeline": None
+        if log is None
+        else timeline(log.coverage, log.forces, "used" if given is None else "with data"),
         "ranges": () if log is None else joint_ranges(log.coverage, content.limits),
         "missing": _missing(content.shown),
         "metrics": METRICS if any(errors.values()) else (),
@@ -149,13 +154,14 @@ def _sections(shown: dict[str, Any]) -> tuple[tuple[str, str], ...]:
     every: list[tuple[Any, str, str]] = [
         (shown["compared"], "compared", "Side by side"),
         (shown["forces"], "forces", "Forces"),
+        (shown["content"].payloads, "payload", "Payload"),
         (shown["robot_view"], "robot", "The robot"),
         (shown["metrics"], "methods", "Methods"),
         *((True, figure.anchor, figure.title) for figure in shown["figures"]),
         (shown["realistic"], "realistic", "From the robot’s own sensors"),
         (shown["content"].truncations, "truncation", "Choice of z"),
         (shown["verdict"], "data-summary", "What the data determine"),
-        (shown["log"], "log", "The log"),
+        (shown["log"], "log", "The given bag" if shown["is_given"] else "The log"),
         (True, "possible", "Physical consistency"),
         (True, "parameters", "Parameters"),
         (True, "data", "Origin"),
@@ -176,7 +182,29 @@ class ForcePanels:
     base_panels: tuple[Panel, ...]
 
 
-def _forces(forces: ForceSeries, holdout: HoldOut | None) -> ForcePanels:
+def _missing_boxes(content: ReportContent) -> str:
+    """Return the links whose original inertia has no box, as a sentence; may be empty."""
+    links = () if content.robot is None else content.robot.links
+    original = dict(zip(content.estimate.names, content.estimate.prior.tolist(), strict=True))
+    missing = [link.name for link in links if link.before is None and original[f"{link.name}/m"]]
+    if not missing:
+        return ""
+    which = f"{len(missing)} of {len(links)} links" if len(missing) > 3 else ", ".join(missing)
+    return f"Without a box of the original model, whose inertia no rigid body has: {which}."
+
+
+def _origin(content: ReportContent) -> dict[str, str]:
+    """Return the log of the identification, and what else describes data and processing."""
+    shown = content.shown
+    identified = {} if shown.log is None else {"Log": describe_identified_log(shown)}
+    return identified | content.metadata
+
+
+def _forces(result: MethodResult, forces: ForceSeries) -> ForcePanels:
+    given, estimate = result.given, result.estimate
+    assert estimate is not None
+    assert result.drawn is not None
+    holdout = estimate.holdout
     seconds = significant(forces.stop - forces.start)
     if forces.is_held_out:
         # As in the summary of the trial; rows start and end half a window within.
@@ -186,11 +214,19 @@ def _forces(forces: ForceSeries, holdout: HoldOut | None) -> ForcePanels:
             "out."
         )
     else:
-        what = f"{seconds} s of a log, predicted by the identified model. It may have used them."
+        which = "the log, which the identification used" if given is None else describe_given(given)
+        what = f"{seconds} s of {which}, predicted by the identified model."
     shown = forces.time[-1] - forces.time[0] if len(forces.time) else 0.0
     if shown < 0.9 * (forces.stop - forces.start):
         what += f" Shown are the {significant(float(shown))} s in which forces change most."
     what += " Errors have an axis of their own."
+    if given is None and (start := given_options(estimate).get("start")):
+        what += f" Time counts from the start of the part that was read, {start:g} s into the bag."
+    if has_block_gaps(forces, result.drawn.coverage):
+        what += (
+            " Curves have a gap at the end of each block of data, 4 s in most logs, because "
+            "averages do not cross it."
+        )
     if has_hidden_errors(forces):
         what += " Errors of the original model that exceed the measured force are cut off."
     return ForcePanels(
@@ -217,9 +253,9 @@ def _describe_choice(forces: ForceSeries) -> str:
 
 def _missing(result: MethodResult) -> str:
     """Return what a result without data of its log lacks, as HTML."""
-    if result.log is None:
+    if result.drawn is None:
         what = "measured forces, errors, and the motion of the log"
-    elif drawn_forces(result.log) is None:
+    elif drawn_forces(result.drawn) is None:
         what = "measured forces and errors, because the log is too short"
     else:
         return ""
@@ -279,81 +315,15 @@ def _figures(content: ReportContent) -> tuple[FigureSection, ...]:
     return tuple(sections)
 
 
+def option_text(value: Any) -> str:
+    """Return the value of an option as text."""
+    if value is None or value in ([], ""):
+        return "not given"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
 def impossible_links(consistent: dict[str, bool]) -> tuple[str, ...]:
     """Return the links that are physically impossible."""
     return tuple(link for link, possible in consistent.items() if not possible)
-
-
-@dataclass(frozen=True)
-class ComparedResults:
-    """Several results as text: a row for each, and the error of each joint.
-
-    Attributes
-    ----------
-    columns : tuple of str
-        Titles of what is compared.
-    rows : tuple of (str, tuple of str)
-        Label of each result and its values.
-    labels : tuple of str
-        Results that know the error of each joint.
-    joints : tuple of (str, tuple of (str, bool))
-        Name of each joint and, for these results, its error and whether it is the smallest.
-    """
-
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[str, ...]], ...]
-    labels: tuple[str, ...]
-    joints: tuple[tuple[str, tuple[tuple[str, bool], ...]], ...]
-
-
-def compared_results(results: Sequence[MethodResult]) -> ComparedResults | None:
-    """Return the table of several results; None for a single one."""
-    if len(results) < 2:
-        return None
-    rows, columns = [], dict[str, None]()
-    for result in results:
-        estimate, summary = result.estimate, result.summary
-        assert estimate is not None
-        held_out, verdict = estimate.holdout, estimate.verdict
-        alarms = ABSENT if verdict is None else str(len(verdict.alarms) or "none")
-        cells = {
-            "Error on data held out": ABSENT if held_out is None else held_out.summary,
-            "Alarms": alarms,
-            "Joint terms": estimate.describe_terms() or _named_terms(estimate) or "none",
-            "Measured": describe_measured(estimate),
-        }
-        if summary is not None:
-            cells["Mass"] = f"{with_std(summary.mass, summary.mass_std)} kg"
-        columns |= dict.fromkeys(cells)
-        rows.append((result.label, cells))
-    known = {
-        result.label: dict(zip(result.log.forces.coordinates, errors, strict=True))
-        for result in results
-        if result.log is not None and result.log.forces is not None
-        for errors in [result.log.forces.rmse_after.tolist()]
-    }
-    return ComparedResults(
-        tuple(columns),
-        tuple((label, tuple(cells.get(name, ABSENT) for name in columns)) for label, cells in rows),
-        tuple(known) if len(known) > 1 else (),
-        _joint_errors(known) if len(known) > 1 else (),
-    )
-
-
-def _joint_errors(
-    known: Mapping[str, Mapping[str, float]],
-) -> tuple[tuple[str, tuple[tuple[str, bool], ...]], ...]:
-    """Return the error at each coordinate that every result predicts, with the smallest marked."""
-    first = next(iter(known.values()))
-    joints = []
-    for name in first:
-        errors = [one.get(name, float("nan")) for one in known.values()]
-        if not name.startswith("base/") and all(map(math.isfinite, errors)):
-            joints.append((name, tuple((significant(e), e == min(errors)) for e in errors)))
-    return tuple(joints)
-
-
-def _named_terms(estimate: Estimate) -> str:
-    """Return the joint terms that the user named."""
-    kinds = {name.rpartition("/")[2] for name in estimate.names}
-    return ", ".join(term for term in TERMS if term in kinds)

@@ -11,8 +11,8 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification.prediction import ForcePredictor, load_result_robot
-from symbid_ros.identification.report_data import ReportData, load_report_data
-from symbid_ros.identification.report_series import report_data_of
+from symbid_ros.identification.report_data import PredictedLog, ReportData, load_report_data
+from symbid_ros.identification.report_series import predicted_log
 from symbid_ros.identification.result_files import load_estimated_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -43,12 +43,15 @@ class ReportedResult:
     log : ReportData or None
         What the result keeps of its log; None in results of live identification and of earlier
         versions.
+    given : PredictedLog or None
+        Another log, whose forces and motion are shown instead.
     """
 
     estimate: Estimate
     parameters: ParameterSet
     deviation_factor: FloatArray | None = None
     log: ReportData | None = None
+    given: PredictedLog | None = None
 
     @property
     def deviations(self) -> FloatArray | None:
@@ -77,7 +80,10 @@ class ReportedResult:
     @property
     def summary(self) -> RobotSummary:
         """Mass and centre of mass of the robot."""
-        coverage = None if self.log is None else self.log.coverage
+        log = self.log
+        if log is None and self.given is not None:
+            log = self.given.data
+        coverage = None if log is None else log.coverage
         model = self.parameters.model
         known = coverage is not None and coverage.joints == model.joint_names
         return summarise_robot(
@@ -117,17 +123,14 @@ def load_result(folder: Path, model: RobotModel | None = None) -> ReportedResult
 
 
 def with_forces_of(result: ReportedResult, folder: Path, log: Log) -> ReportedResult:
-    """Return the result of a folder with the forces and the motion of another log.
+    """Return the result of a folder that shows the forces and the motion of another log.
 
     Raises
     ------
     SymbidError
         When the log is invalid, or of another robot.
     """
-    data = report_data_of(ForcePredictor.load(folder), log)
-    if result.log is not None:
-        data = replace(data, spread=result.log.spread)
-    return replace(result, log=data)
+    return replace(result, given=predicted_log(ForcePredictor.load(folder), log))
 
 
 def labels(folders: Sequence[Path], estimates: Sequence[Estimate]) -> list[str]:

@@ -1,5 +1,6 @@
 """Conclusions in words: the thesis's and ours, computed from the numbers of a study."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -44,6 +45,8 @@ CLAIMS = (
 # Ratio of the largest to the smallest link error from which links differ greatly. The errors of
 # the prior alone differ less.
 LARGE = 2.0
+# Data sets that are listed one by one.
+LISTED = 2
 # Half-width of the priors that the thesis discusses most, %.
 USUAL = 25.0
 
@@ -257,7 +260,7 @@ def data_sentences(
         sentence = (
             f"{TITLES[method]}: CoM error {significant(errors[best])} mm with {best} (smallest), "
             f"{significant(errors[worst])} mm with {worst} (largest, "
-            f"{significant(errors[worst] / errors[best], 2)} times)."
+            f"{significant(errors[worst] / errors[best], 2)} times as much)."
         )
         if worse:
             sentence += f" Less accurate than the prior: {'; '.join(worse)}."
@@ -314,11 +317,17 @@ def _com_errors(
 
 
 def _worse_than_prior(scores: Scores, data: Sequence[str], prior: str, method: str) -> list[str]:
-    """Return the data sets with which a method has larger errors than the prior, and which."""
-    found = []
+    """Return the data sets with which a method has larger errors than the prior, and which.
+
+    Of many data sets, it returns their number for each error.
+    """
+    found: dict[str, list[str]] = {}
     for name in data:
         own, reference = scores.best(name, prior, method), scores.best(name, prior, REFERENCE)
         worse = [NOUNS[metric] for metric in METRICS if own and own[metric] > reference[metric]]
         if worse:
-            found.append(f"{name} ({', '.join(worse)})")
-    return found
+            found[name] = worse
+    if len(found) <= LISTED:
+        return [f"{name} ({', '.join(worse)})" for name, worse in found.items()]
+    counts = Counter(noun for worse in found.values() for noun in worse)
+    return [f"{noun} with {count} of {len(data)}" for noun, count in counts.most_common()]

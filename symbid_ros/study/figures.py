@@ -33,7 +33,7 @@ from symbid_ros.study.plotting import (
     stacked_panels,
 )
 from symbid_ros.study.scores import METRICS as KEYS
-from symbid_ros.study.scores import Case, Scores
+from symbid_ros.study.scores import REFERENCE, Case, Scores
 from symbid_ros.study.table import file_stem
 from symbid_ros.study.thesis import ACCELERATION_ERRORS, DATA, TITLES
 
@@ -272,7 +272,8 @@ def comparison_figure(
     return CaptionedFigure(
         f"comparison_{file_stem(prior)}",
         title,
-        f"Mean of each metric over the draws, truncated methods {rows_of}; smaller is better.",
+        f"Mean of each metric over the draws, truncated methods {rows_of}; smaller is better. "
+        f"{TITLES[REFERENCE]}: the prior.",
         figure,
         f"{title}: a panel for each metric, a row for each of the data sets {', '.join(data)}, a "
         f"marker for each of {', '.join(styles)}.",

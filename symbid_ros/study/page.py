@@ -145,12 +145,12 @@ def _unbroken(text: str) -> str:
 
 def _facts(plan: Plan) -> dict[str, str]:
     """Return how the study was done."""
-    logs = ", ".join(f"{name} ({log.identity})" for name, log in plan.data.items())
+    logs = "; ".join(f"{name}: {log.description}" for name, log in plan.data.items())
     filters = ", ".join("none" if cutoff == 0 else f"{cutoff:g} Hz" for cutoff in plan.filters)
     source = {"validation": "on the validation log", "itself": "on the log itself"}[plan.z.using]
     facts = {
         "Logs": logs,
-        "Evaluated on": f"{plan.validation.identity}, every {1e3 * plan.judged_every:g} ms",
+        "Evaluated on": f"{plan.validation.description}, every {1e3 * plan.judged_every:g} ms",
         "Priors": f"{plan.iterations} of each: {', '.join(map(str, plan.priors))}",
     }
     if plan.truncated_methods:
@@ -203,12 +203,14 @@ def study_sections(results: StudyResults) -> tuple[Section, ...]:
         sections.append(_filter_section(results))
     if plan.thesis:
         sections += _conclusion_sections(results)
-    sections.append(Section("tables", "Tables", tables=short))
+    if short:
+        sections.append(Section("tables", "Tables", tables=short))
     if plan.equation is not None:
         table = equation_table(load_equation_residuals(results.folder))
         sections.append(Section("equation", "Equation of motion", tables=(table,), folded=True))
     if folded:
-        sections.append(Section("more", "More tables", tables=tuple(folded), folded=True))
+        title = "More tables" if short else "Tables"
+        sections.append(Section("more", title, tables=tuple(folded), folded=True))
     return tuple(sections)
 
 

@@ -70,6 +70,17 @@ class SimulatedLog(PlanEntry):
         parts += [f"{self.errors} {self.error_seed}"] if self.errors else []
         return ", ".join(parts)
 
+    @property
+    def description(self) -> str:
+        """What the log contains, with the name of each seed, for readers."""
+        parts = [f"{self.scenario}, {self.moves} moves, motion seed {self.motion_seed}"]
+        parts.append(
+            f"noise x {self.noise:g}, noise seed {self.noise_seed}" if self.noise else "no noise"
+        )
+        parts += ["friction"] if self.friction else []
+        parts += [f"errors {self.errors}, error seed {self.error_seed}"] if self.errors else []
+        return ", ".join(parts)
+
 
 class DataSet(SimulatedLog):
     """A log to identify from.

@@ -29,7 +29,7 @@ from symbid_ros.study.thesis import ACCELERATION_ERRORS, EQUATION_RESIDUALS, TIT
 
 COUNT = Column("Singular values")
 COLUMNS = (*(Column(metric.title, metric.unit) for metric in TITLED), COUNT)
-BOLD = "Bold: the smallest value for each prior."
+BOLD = f"Bold: the smallest value for each prior. {TITLES[REFERENCE]}: the prior."
 BEST = (
     "Means over {draws} priors. Each error is the smallest over the filters, each with its own "
     f"filter; the number of singular values is the mean over the filters. {BOLD}"

@@ -4,13 +4,14 @@ import json
 from xml.etree import ElementTree
 
 from bag_editing import topic_counts
+from browser import PHONE
 from preloaded import run_symbid
 from report_pages import Page
 
 FIGURES = "com_error", "feed_forward", "deviations"
 
 
-def test_three_robots_move_side_by_side_and_are_reported(tmp_path, monkeypatch) -> None:
+def test_three_robots_move_side_by_side_and_are_reported(tmp_path, monkeypatch, browser) -> None:
     out = tmp_path / "demo"
     monkeypatch.setenv("COLUMNS", "60")
     words = "--learn", "--payload", "--moves", 1
@@ -32,6 +33,12 @@ def test_three_robots_move_side_by_side_and_are_reported(tmp_path, monkeypatch) 
         assert page.source.count(f'id="{name.replace("_", "-")}-') > 0
         assert (out / f"{name}.png").stat().st_size > 10_000
         ElementTree.parse(out / f"{name}.svg")
+    with browser.page(out / "report.html", PHONE) as phone:
+        edges = phone.tab.locator("figure svg").evaluate_all(
+            "all => all.map(e => e.getBoundingClientRect().right)"
+        )
+        assert (len(edges), phone.overflow) == (3, [])
+        assert max(edges) <= PHONE
     robots = ElementTree.parse(out / "robots.svg").getroot()
     drawn = robots.findall(".//{*}polyline")
     assert len(drawn) == 2 * 3

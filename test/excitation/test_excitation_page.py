@@ -1,12 +1,13 @@
 """The page of a plan in the system's Chromium."""
 
+import numpy as np
 import pytest
 from browser import DESKTOP, PHONE
 from documented_robots import ur5_urdf
 
 from symbid_ros.excitation.optimizer import TrajectoryOptimizer
 from symbid_ros.excitation.options import ExciteOptions
-from symbid_ros.excitation.page import render_page
+from symbid_ros.excitation.page import BOTTOM, HEIGHT, render_page
 from symbid_ros.excitation.plan import ExcitationPlan, excitation_problem
 from symbid_ros.model.load import load_model
 from symbid_ros.report.formatting import significant
@@ -47,6 +48,24 @@ def test_print_is_short_and_shows_the_motion_first(browser, page_file):
         pages = page.printed_pages()
     assert len(pages) <= 6
     assert "Motion and limits" in pages[0]
+
+
+def test_it_draws_every_limited_quantity_with_its_share_and_names_it(browser, page_file, plan):
+    kinds = [*plan.usage()]
+    with browser.page(page_file) as page:
+        assert page.tab.locator(".legend li").all_inner_texts() == kinds
+        panel = page.tab.locator("figure").first
+        for kind in kinds:
+            assert panel.locator(f"path.curve.{kind}").count() == 1
+            assert panel.locator(f"path.share.{kind}").count() == 2
+        curve = panel.locator("path.curve.acceleration").get_attribute("d")
+        heights = np.array([float(point.split()[1]) for point in curve[1:].split("L")])
+        middle = (HEIGHT - BOTTOM) / 2
+        used = np.abs(1 - heights / middle).max() / 0.94
+        assert used == pytest.approx(plan.usage()["acceleration"][0], abs=0.01)
+        grey = page.tab.locator("tr.unknown").count()
+        assert grey == np.count_nonzero(~plan.determined)
+        assert "rows of other parameters are grey" in page.tab.inner_text("main")
 
 
 def test_it_shows_each_joint_and_each_parameter(browser, page_file, plan):

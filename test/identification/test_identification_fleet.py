@@ -2,11 +2,12 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from arm_log import arm_streams
-from browser import PHONE
+from browser import DESKTOP, PHONE
 from documented_robots import ur5_urdf
 from fleet import HEAVIER, simulate
 from json_schemas import require_valid
@@ -23,7 +24,7 @@ from symbid_ros.estimation.prior_std import body_covariance
 from symbid_ros.identification.fleet import fleet_of_results, fleet_verdict
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.report.fleet_page import render_fleet
+from symbid_ros.report.fleet_page import change_table, render_fleet
 from symbid_ros.signals.log import Log
 
 
@@ -58,6 +59,34 @@ def test_the_page_fits_a_phone(draw, browser, tmp_path) -> None:
     page.write_text(render_fleet(draw.estimate))
     with browser.page(page, PHONE) as shown:
         assert shown.overflow == []
+
+
+def test_the_changes_of_all_robots_fit_a_screen_and_read_alike(draw, browser, tmp_path) -> None:
+    many = replace(
+        draw.estimate,
+        robots=tuple(f"robot_{index}" for index in range(18)),
+        link_changes=draw.estimate.link_changes * 3,
+    )
+    zero = replace(draw.estimate.link_changes[0][3], relative=-1e-5)
+    some = [list(robot) for robot in draw.estimate.link_changes]
+    some[0][3] = zero
+    few = replace(draw.estimate, link_changes=tuple(map(tuple, some)))
+    assert change_table(few)[0] == ("link", *draw.estimate.robots)
+    assert change_table(few)[1][3][1][0].startswith("+0.0 ± ")
+    for found in (few, many):
+        page = tmp_path / "fleet.html"
+        page.write_text(render_fleet(found))
+        assert "kg m^2" not in page.read_text()
+        with browser.page(page, DESKTOP) as shown:
+            wide = shown.tab.evaluate(
+                "Array.from(document.querySelectorAll('.scroll'))"
+                ".filter(e => e.scrollWidth > e.clientWidth).length"
+            )
+        assert wide == 0
+    titles, rows = change_table(many)
+    assert titles == ("robot", *draw.estimate.parameters.link_names)
+    assert [name for name, _ in rows] == list(many.robots)
+    assert rows[6][1] == rows[0][1]
 
 
 def gaussian_fleet(rng, shift: float) -> tuple[list[FleetMember], ParameterSet]:

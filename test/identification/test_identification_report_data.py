@@ -18,7 +18,7 @@ from symbid_ros.identification.result_files import write_identification
 from symbid_ros.identification.validation import PredictedEfforts
 from symbid_ros.report.compose import compose
 from symbid_ros.report.page import render
-from symbid_ros.report.saved_results import load_result
+from symbid_ros.report.saved_results import load_result, with_forces_of
 from symbid_ros.signals.segments import Segment
 
 RATE, SECONDS, STILL = 25.0, 200.0, 60.0
@@ -108,6 +108,33 @@ class TestSavedResult:
         live = replace(result._identification, report=None)
         write_identification(live, result._parameters, folder)
         assert load_report_data(folder) is None
+
+
+def page_with_forces_of(saved, joints, arm, *, later=0.0):
+    log = sy.Log.from_arrays(
+        arm,
+        time=joints.stamp * 1e-9 + later,
+        position=joints.position,
+        effort=joints.effort,
+        name="other",
+    )
+    result = with_forces_of(load_result(saved), saved, log)
+    text = render(compose({"A": result}, chosen="A", metadata={}))
+    return re.sub(r"<style>.*?</style>|<[^>]*>", "", text, flags=re.S).replace("\xa0", " ")
+
+
+def test_the_page_tells_another_log_from_that_of_the_identification(arm, log, saved):
+    own = load_report_data(saved).coverage
+    joints = arm_streams(arm, seconds=12.0, seed=5).joints
+    page = page_with_forces_of(saved, joints, arm, later=3600.0)
+    assert f"{own.log}, 24.0 s used" in page
+    assert page.count("other, which the identification did not use") == 2
+    assert "The given bag" in page
+
+
+def test_the_page_says_that_a_given_log_was_used(arm, streams, saved):
+    page = page_with_forces_of(saved, streams.joints, arm)
+    assert page.count("other, which the identification used") == 2
 
 
 def test_without_a_trial_the_end_is_predicted_by_the_estimate(arm, log):

@@ -145,6 +145,17 @@ def test_results_may_differ_in_joint_terms(
     assert errors["B"]["torque_rmse"] == pytest.approx(friction)
 
 
+def test_results_of_other_robots_are_refused(parameters: ParameterSet) -> None:
+    other = ParameterSet(random_robot(2, links=4))
+    results = {
+        "A": ReportedResult(estimated(other, 1.1), other),
+        "B": ReportedResult(estimated(parameters, 1.1), parameters),
+    }
+    with pytest.raises(EstimateError, match=r"^A: its joints are not those of B") as caught:
+        compose(results, chosen="B", metadata=METADATA)
+    assert caught.value.code == "E512"
+
+
 def test_the_truth_must_be_the_same_robot(
     parameters: ParameterSet, ground_truth: GroundTruth
 ) -> None:

@@ -197,4 +197,21 @@ def test_key_figures_name_what_was_measured_and_what_the_doctor_found():
     figures = {one.title: one for one in key_figures(content_of_a_log(4))}
     assert figures["Measured"].value == "2 of 50"
     assert figures["Log"].value == "39.0 s used"
-    assert figures["Log"].note == "the doctor found 1 fault"
+    assert figures["Log"].note == "walk_bag; the doctor found 1 fault"
+
+
+def test_bars_with_forces_of_a_wrist_sensor_say_torque_or_force():
+    base = content_of_a_log(4).shown
+    plain = error_bars(base)
+    assert (plain.title, plain.scale.partition("% ")[2]) == (
+        "Error on each joint",
+        "of the measured torque",
+    )
+    forces = base.log.forces
+    coordinates = (*forces.coordinates[:-1], "tool0/force_x")
+    forces = replace(forces, coordinates=coordinates, units=(*forces.units[:-1], "N"))
+    mixed = error_bars(replace(base, log=replace(base.log, forces=forces)))
+    assert (mixed.title, mixed.scale.partition("% ")[2]) == (
+        "Error on each joint and sensor axis",
+        "of the measured torque or force",
+    )

@@ -55,6 +55,17 @@ def test_a_pause_between_recordings_is_short(log):
     assert shown.ticks == ((0, "0 s"), (51, "3600 s"), (100, "3628 s"))
 
 
+@pytest.mark.parametrize(
+    ("stop", "labels"),
+    [(39.988, "0 10 20 30 40"), (10.294, "0 5 10"), (41.0, "0 20 40"), (0.31, "0 0.1 0.2 0.3")],
+)
+def test_ticks_are_round(log, stop, labels):
+    used = np.array([[-0.008, stop]])
+    ticks = timeline(replace(log.coverage, used=used, faults=()), None).ticks
+    assert [label.removesuffix(" s") for _, label in ticks] == labels.split()
+    assert ticks[-1][0] == pytest.approx(min(100, 100 * float(labels.split()[-1]) / stop), abs=0.1)
+
+
 def test_a_short_fault_stays_visible_and_inside(log):
     fault = {"kind": "frozen", "stream": "/imu", "start": 39.999, "stop": 40.0}
     coverage = replace(log.coverage, faults=(fault,))

@@ -6,12 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from report_pages import Page, content, estimate, series
+from report_pages import Page, content, content_of_a_log, estimate, series
 
 from symbid_ros.errors import EstimateError
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.content import LinkErrors, ReportContent
-from symbid_ros.report.page import DOCUMENTATION, render, write_report
+from symbid_ros.report.page import (
+    DOCUMENTATION,
+    option_text,
+    render,
+    write_report,
+)
+from symbid_ros.report.side_by_side import compared_results
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -209,3 +215,53 @@ class TestContentIsChecked:
     def test_errors_have_one_value_for_each_link(self) -> None:
         with pytest.raises(EstimateError, match="2 links"):
             LinkErrors(("a", "b"), {"prior": np.ones(3)})
+
+
+def page_of_two(**part: float) -> str:
+    """Two results of one log, of which one predicts another part of it."""
+    one = content_of_a_log(2)
+    log = one.shown.log
+    moved = replace(log, forces=replace(log.forces, **part))
+    methods = (replace(one.shown, label="first", log=moved), *one.methods)
+    return render(replace(one, methods=methods))
+
+
+def test_errors_of_each_joint_are_compared_on_the_same_data_only() -> None:
+    assert "the smallest is bold" in page_of_two(start=20.08)
+    page = page_of_two(start=6.0, stop=8.0)
+    assert "the smallest is bold" not in page
+    assert "those of different data" in page
+
+
+def test_the_caption_explains_gaps_between_blocks() -> None:
+    base = content_of_a_log(2)
+    forces = base.shown.log.forces
+    assert "gap at the end of each block" not in render(base)
+    time = np.where(forces.time >= 24, forces.time + 0.4, forces.time)
+    log = replace(base.shown.log, forces=replace(forces, time=time, stop=40.4))
+    used = np.array([[0.0, 41.0]])
+    one = replace(base.shown, log=replace(log, coverage=replace(log.coverage, used=used)))
+    assert "gap at the end of each block" in render(replace(base, methods=(one,)))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        *((absent, "not given") for absent in (None, [], "")),
+        *((False, "no"), (True, "yes"), (0.0, "0.0"), (["a", "b"], "a, b")),
+    ],
+)
+def test_options_that_were_not_given_say_so(value: object, text: str) -> None:
+    assert option_text(value) == text
+
+
+def test_errors_that_read_alike_are_marked_alike() -> None:
+    one = content_of_a_log(2)
+    log = one.shown.log
+    slightly = replace(
+        log, forces=replace(log.forces, rmse_after=log.forces.rmse_after * (1 + 1e-9))
+    )
+    compared = compared_results((replace(one.shown, label="first", log=slightly), one.shown))
+    assert compared is not None
+    assert compared.joints
+    assert all(is_best for _, errors in compared.joints for _, is_best in errors)

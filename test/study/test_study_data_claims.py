@@ -78,5 +78,15 @@ def test_sentences_name_data_on_which_a_method_is_worse_than_the_prior():
         }
     )
     (sentence,) = data_sentences(means, ["a", "b"], PRIOR, ["map_lmi", "wls_rc"])
-    assert "1.00 mm with a (smallest), 30.0 mm with b (largest, 30 times)" in sentence
+    assert "1.00 mm with a (smallest), 30.0 mm with b (largest, 30 times as much)" in sentence
     assert sentence.endswith("Less accurate than the prior: b (CoM position).")
+
+
+def test_sentences_count_data_if_a_method_is_worse_with_many():
+    names = ("a", "b", "c", "d")
+    means = scores(
+        {(name, "map_lmi"): 30.0 - 20.0 * (name == "d") for name in names}
+        | {(name, "ref"): 20.0 for name in names}
+    )
+    (sentence,) = data_sentences(means, names, PRIOR, ["map_lmi"])
+    assert sentence.endswith("Less accurate than the prior: CoM position with 3 of 4.")

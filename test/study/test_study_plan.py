@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from symbid_ros.choices import METHODS
 from symbid_ros.errors import StudyError, SymbidError
 from symbid_ros.package_paths import config_file
-from symbid_ros.study.plan import Plan, PriorSpread, load_plan, shipped_studies
+from symbid_ros.study.plan import Plan, PriorSpread, SimulatedLog, load_plan, shipped_studies
 
 NAMES = ("thesis", "excitation", "sensors", "noise", "length", "errors")
 
@@ -142,3 +142,9 @@ def test_validation_logs_have_the_friction_of_the_data():
         assert (ideal.friction, ideal.noise) == (friction, 0.0)
         assert (noisy.friction, noisy.noise) == (friction, 1.0)
         assert noisy.motion_seed == ideal.motion_seed
+
+
+def test_a_log_is_described_with_the_name_of_each_seed():
+    log = SimulatedLog(moves=2, motion_seed=11, noise_seed=12, noise=0.1)
+    assert log.description == "smooth, 2 moves, motion seed 11, noise x 0.1, noise seed 12"
+    assert SimulatedLog(noise=0.0).description == "smooth, 20 moves, motion seed 1, no noise"

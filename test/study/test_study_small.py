@@ -28,8 +28,9 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
+from symbid_ros.study import page
 from symbid_ros.study.draws import StudyResults
-from symbid_ros.study.page import publish
+from symbid_ros.study.page import publish, study_sections
 from symbid_ros.study.plan import load_plan
 from symbid_ros.study.study_folder import StudyFolder
 
@@ -313,3 +314,12 @@ def test_page_fits_a_screen_and_its_print_is_short_with_figures_first(small: Sma
     assert len(pages) <= 6
     assert "Fig. 3:" in pages[0]
     assert "Conclusions on" not in "".join(pages[:2])
+
+
+@pytest.mark.parametrize(("longest", "titles"), [(30, ["Tables", "More tables"]), (0, ["Tables"])])
+def test_every_section_has_content(small: SmallStudy, monkeypatch, longest, titles):
+    monkeypatch.setattr(page, "LONG", longest)
+    sections = study_sections(small.results)
+    assert [one.title for one in sections if "ables" in one.title] == titles
+    for one in sections:
+        assert one.tables or one.figures or one.conclusions or one.sentences, one.title
