@@ -1,6 +1,7 @@
 """Online identification: from sensor topics to an estimate that is updated every period."""
 
 import json
+import logging
 import sys
 import time
 from collections.abc import Callable
@@ -41,10 +42,13 @@ from symbid_ros.ros.identifier_parameters import (
     model_of,
 )
 from symbid_ros.ros.inertia_markers import InertiaMarkers
+from symbid_ros.ros.monitor_messages import TOO_EARLY_TO_FIT
 from symbid_ros.ros.parameters import ParameterError, watch
 from symbid_ros.ros.raw_subscription import RawSubscription
-from symbid_ros.ros.reporting import FaultReporter, StatusPublisher
+from symbid_ros.ros.reporting import FaultReporter, StatusPublisher, collected_warnings
 from symbid_ros.ros.sensor_topics import SensorTopics, resolve_topics
+
+logger = logging.getLogger(__name__)
 
 POLL = 0.01  # s; queues take far longer to fill
 FOREVER = 2**63 - 1  # ns
@@ -129,6 +133,7 @@ class OnlineIdentifier:
         self._described = float("-inf")
         self._solves = 0
         self._newest: OnlineEstimate | None = None
+        self._has_saved = False  # because a service asked for it
         self._solve_time = 0.0  # s
         self._diagnostics = IdentifierDiagnostics()
         self._fault_reporter, self._change_reporter = FaultReporter(node), FaultReporter(node)
@@ -320,7 +325,9 @@ class OnlineIdentifier:
             raise ParameterError(
                 "parameter out: empty; start the identifier with -p out:=FOLDER", "E801"
             )
-        return self._write(self._solve_exactly(), self._out)
+        text = self._write(self._solve_exactly(), self._out)
+        self._has_saved = True
+        return text
 
     def _write(self, estimate: OnlineEstimate, out: Path) -> str:
         start = self._initial_state
@@ -362,7 +369,10 @@ class OnlineIdentifier:
         self._newest = None
         self._remove_live_model()
         self._markers.clear()
-        return "all data are discarded; prior and tares remain"
+        text = "all data are discarded; prior and tares remain"
+        if self._has_saved:
+            text += f"; the next save or the end replaces the result in {self._out}: copy it first"
+        return text
 
     def _finish(self) -> None:
         buffers = self._live.streams.buffers
@@ -370,9 +380,19 @@ class OnlineIdentifier:
             "received": {topic.name: buffer.received for topic, buffer in buffers.items()},
             "missing": {topic.name: buffer.missing for topic, buffer in buffers.items()},
         }
-        if self._out is not None and (final := self._final_estimate()):
-            summary["saved"] = self._write(final, self._out)
-        summary["solves"] = self._solves
+        with collected_warnings() as warnings:
+            final = self._newest if self._out is None else self._final_estimate()
+            if final is not None and self._out is not None:
+                summary["saved"] = self._write(final, self._out)
+        if final is not None:
+            verdict = final.found.estimate.verdict
+            if verdict is not None:
+                summary["alarms"] = verdict.alarms
+            elif self._live.can_tell_fit:
+                summary["alarms"] = final.alarms
+            else:
+                warnings.append(TOO_EARLY_TO_FIT)
+        summary |= {"warnings": warnings, "solves": self._solves}
         print(json.dumps(summary), flush=True)
 
     def _final_estimate(self) -> OnlineEstimate | None:
@@ -381,7 +401,7 @@ class OnlineIdentifier:
         None if there are too few data or they do not suit the robot; the diagnostics state why.
         """
         if self._newest is not None and EXACT_COST * self._solve_time > SHUTDOWN_SOLVE_TIME:
-            self._node.get_logger().warning(
+            logger.warning(
                 "solving is too slow for shutdown: saving the newest estimate, which lacks the "
                 "latest data"
             )
@@ -390,7 +410,7 @@ class OnlineIdentifier:
             return self._solve(exactly=True)
         except SymbidError as error:
             if self._newest is not None:
-                self._node.get_logger().warning(f"{error}; saving the previous estimate")
+                logger.warning("%s; saving the previous estimate", error)
             return self._newest
 
     def _save_after_error(self) -> None:
@@ -425,6 +445,8 @@ class OnlineIdentifier:
         return handle
 
     def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data and not self._is_enabled and self._identification is not None:
+            self._identification.expect_pause()
         self._is_enabled = bool(request.data)
         self._diagnostics.set_enabled(self._is_enabled)
         response.success = True
@@ -447,4 +469,4 @@ def _read_tares(
 def _summarize(newest: OnlineEstimate) -> str:
     estimate = newest.found.estimate
     count = 0 if estimate.determined is None else int(estimate.determined.sum())
-    return f"{count} of {len(estimate.names)} parameters determined by {estimate.samples} rows"
+    return f"{count} of {estimate.identified} parameters determined by {estimate.samples} rows"
