@@ -25,6 +25,7 @@ logger = logging.getLogger(__name__)
 
 POLL = 0.2  # s
 SAVING_TIME = 120.0  # s; a slow machine may lag behind
+SAVE_TIME = SAVING_TIME / 2  # s for the last estimate
 # Of a relative or absolute ROS namespace.
 NAMESPACE = re.compile(r"/?|/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*/?", re.ASCII)
 AS_IT_IS: dict[str, Any] = {"soft_wrap": True, "markup": False, "highlight": False}
@@ -107,7 +108,7 @@ def live(
     logs = Path(tempfile.mkdtemp(prefix="symbid_live_"))
     common: dict[str, object] = {"model": str(path.resolve()), "base": base}
     given = given_parameters(options, log)
-    parameters = common | given | {"mode": "online", "memory": memory}
+    parameters = common | given | {"mode": "online", "memory": memory, "save_time": SAVE_TIME}
     if out is not None:
         parameters["out"] = str(out.resolve())
     page = common | {"host": host, "port": port}

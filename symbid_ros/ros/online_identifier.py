@@ -55,8 +55,6 @@ FOREVER = 2**63 - 1  # ns
 LONGEST_DRAIN = 1.0  # s; on a machine that is too slow, queues never run empty
 # Cost of an exact estimate, relative to the estimates in between.
 EXACT_COST = 4.0
-# Longest time for an estimate at shutdown, s; launch kills nodes that take a few seconds.
-SHUTDOWN_SOLVE_TIME = 1.5
 ANSWER_POLL = 0.1  # s
 CHANGE = "change of the robot"  # what is reported as resolved
 TARE_TIME = 2.0  # s over which the readings of unloaded sensors are averaged
@@ -114,6 +112,7 @@ class OnlineIdentifier:
                 read_model(self._live_model)  # no other file may be replaced
             self._remove_live_model()
         self._period: float = values["solve_period"]
+        self._save_time: float = values["save_time"]
         self._sensors = SensorTopics(
             node,
             resolve_topics(node, topics, sys.argv),
@@ -385,22 +384,26 @@ class OnlineIdentifier:
             if final is not None and self._out is not None:
                 summary["saved"] = self._write(final, self._out)
         if final is not None:
-            verdict = final.found.estimate.verdict
-            if verdict is not None:
-                summary["alarms"] = verdict.alarms
-            elif self._live.can_tell_fit:
-                summary["alarms"] = final.alarms
-            else:
+            alarms = self._alarms_of(final)
+            summary["alarms"] = alarms
+            if not alarms and not self._live.can_tell_fit:
                 warnings.append(TOO_EARLY_TO_FIT)
         summary |= {"warnings": warnings, "solves": self._solves}
         print(json.dumps(summary), flush=True)
+
+    def _alarms_of(self, estimate: OnlineEstimate) -> tuple[str, ...]:
+        """Return the alarms of the verdict or, without one, those that are not too early."""
+        verdict = estimate.found.estimate.verdict
+        if verdict is not None:
+            return verdict.alarms
+        return estimate.alarms if self._live.can_tell_fit else ()
 
     def _final_estimate(self) -> OnlineEstimate | None:
         """Return the estimate from all data, or the newest one if there is too little time.
 
         None if there are too few data or they do not suit the robot; the diagnostics state why.
         """
-        if self._newest is not None and EXACT_COST * self._solve_time > SHUTDOWN_SOLVE_TIME:
+        if self._newest is not None and EXACT_COST * self._solve_time > self._save_time:
             logger.warning(
                 "solving is too slow for shutdown: saving the newest estimate, which lacks the "
                 "latest data"

@@ -83,6 +83,15 @@ def test_the_end_repeats_the_warnings_about_what_it_saves(fed: OnlineIdentifier,
     assert early == TOO_EARLY_TO_FIT  # there is no verdict
 
 
+def test_a_longer_save_time_allows_an_estimate_from_all_data(fed: OnlineIdentifier, capsys) -> None:
+    assert fed._solve() is not None
+    fed._solve_time, fed._save_time = 10.0, 60.0
+    fed.run(stopped())
+    summary = json.loads(capsys.readouterr().out)
+    assert not any("newest estimate" in one for one in summary["warnings"])
+    assert (summary["alarms"], summary["warnings"][-1]) == ([], TOO_EARLY_TO_FIT)
+
+
 def test_a_reset_says_that_the_end_replaces_what_was_saved(fed: OnlineIdentifier) -> None:
     assert "replaces" not in fed._reset()
     fed._has_saved = True
