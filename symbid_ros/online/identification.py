@@ -536,7 +536,7 @@ class OnlineIdentification:
     def _cause_of_wrong_weight(self) -> str:
         """Return why the measured forces may not carry the robot's weight, and what to do."""
         if self.setup_fault:
-            return "no wrench is measured; give `contact`"
+            return "no wrench sensor is in use"
         units = "; ".join(one.message for one in self._wrong_units())
         return units or (
             "publish the wrench of every contact, check units (N, m/s², rad) and signs, or set "
@@ -572,6 +572,6 @@ def _setup_fault(selected: SelectedTopics, model: RobotModel) -> str:
         return ""
     feet = ",".join(f"{name}:point" for name in leg_ends(model)) or "FRAME:point,..."
     return (
-        "there is no wrench sensor, so that the forces on the robot are unknown; name what touches "
-        f"the ground as `contact` {feet}, or start the drivers of the wrench sensors"
+        "no wrench sensor is in use, so that the forces on the robot are unknown; name what "
+        f"touches the ground as `contact` {feet}, or start the drivers of the wrench sensors"
     )

@@ -22,7 +22,6 @@ from symbid_ros.signals.calibrating_rows import CalibratingRows
 SILENCE = 2.0  # s without a message until a topic is reported
 RATE_PERIOD = 0.5  # s; shortest time over which rates are computed
 IN_ORDER = "in order"
-SETUP = "contact forces"  # subject of a fault of topics and options together
 TOO_FEW = "too few data for an estimate"
 TOO_EARLY = "too early to detect a change"
 
@@ -125,7 +124,7 @@ class IdentifierDiagnostics:
 
     def __init__(self) -> None:
         self._is_enabled = True
-        self._has_tried = self._has_estimate = False
+        self._has_tried = False  # to make an estimate
         self._estimate = NodeStatus("estimate", WARN, "no estimate yet")
         self._streams = NodeStatus("streams", WARN, "no sensor topics yet")
         self._change = NodeStatus("change", OK, TOO_EARLY)
@@ -195,7 +194,6 @@ class IdentifierDiagnostics:
         if outcome is None:
             self._estimate = NodeStatus("estimate", WARN, TOO_FEW)
             return
-        self._has_estimate = True
         newest = live.streams.joints.newest
         self._age = 0.0 if newest is None else max((newest - outcome.until) * 1e-9, 0.0)
         # A warning all the same: no controller may use a model that is not yet judged.
@@ -252,8 +250,13 @@ class IdentifierDiagnostics:
             }
         return estimate_status(outcome.found.estimate, alarms, details)
 
-    def update_streams(self, live: OnlineIdentification) -> dict[str, str] | None:
-        """Update the status of the topics; return their faults, or None before `RATE_PERIOD`."""
+    def update_streams(
+        self, live: OnlineIdentification, setup_faults: Mapping[str, str]
+    ) -> dict[str, str] | None:
+        """Update the status of the topics; return their faults, or None before `RATE_PERIOD`.
+
+        ``setup_faults`` holds, by subject, why the topics in use cannot give an estimate.
+        """
         now = time.monotonic()
         elapsed = now - self._updated
         if elapsed < RATE_PERIOD:
@@ -262,9 +265,7 @@ class IdentifierDiagnostics:
         values: dict[str, object] = {}
         if not self._is_enabled:
             self._monitor.pause()
-        faults_by_topic = self._monitor.check(live.streams, live.checks)
-        if live.setup_fault and not self._has_estimate:
-            faults_by_topic[SETUP] = live.setup_fault
+        faults_by_topic = {**self._monitor.check(live.streams, live.checks), **setup_faults}
         for topic, buffer in live.streams.buffers.items():
             name = topic.name
             before, received = self._counts.get(name, 0), buffer.received

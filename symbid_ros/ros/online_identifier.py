@@ -57,6 +57,7 @@ LONGEST_DRAIN = 1.0  # s; on a machine that is too slow, queues never run empty
 EXACT_COST = 4.0
 ANSWER_POLL = 0.1  # s
 CHANGE = "change of the robot"  # what is reported as resolved
+CONTACTS = "contact forces"
 TARE_TIME = 2.0  # s over which the readings of unloaded sensors are averaged
 DISCOVERY_PERIOD = 0.1  # s between two looks at the graph before identification starts
 LATER_DISCOVERY_PERIOD = 1.0  # s afterwards
@@ -226,7 +227,7 @@ class OnlineIdentifier:
                     subscription.match_publishers()
                 discovered = now
             if now >= due:
-                faults = self._diagnostics.update_streams(self._live)
+                faults = self._diagnostics.update_streams(self._live, self._setup_faults())
                 if faults is not None:
                     self._fault_reporter.update(faults)
                 if self._is_enabled and self._live.has_news:
@@ -238,6 +239,13 @@ class OnlineIdentifier:
                 time.sleep(POLL)
         self._receive_until(time.time_ns(), LONGEST_DRAIN)
         self._finish()
+
+    def _setup_faults(self) -> dict[str, str]:
+        """Return why the topics in use cannot give an estimate; empty once there is one."""
+        if not self._live.setup_fault or self._newest is not None:
+            return {}
+        # Wrench sensors may be ignored for their frames.
+        return {**self._sensors.missing(), CONTACTS: self._live.setup_fault}
 
     @property
     def _live(self) -> OnlineIdentification:
@@ -324,9 +332,12 @@ class OnlineIdentifier:
             raise ParameterError(
                 "parameter out: empty; start the identifier with -p out:=FOLDER", "E801"
             )
-        text = self._write(self._solve_exactly(), self._out)
+        estimate = self._solve_exactly()
+        with collected_warnings() as warnings:
+            text = self._write(estimate, self._out)
         self._has_saved = True
-        return text
+        alarms = (f"alarm: {alarm}" for alarm in self._alarms_of(estimate))
+        return "; ".join([text, *warnings, *alarms])
 
     def _write(self, estimate: OnlineEstimate, out: Path) -> str:
         start = self._initial_state

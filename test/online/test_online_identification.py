@@ -418,7 +418,7 @@ def test_a_wrong_unit_is_named_as_the_cause_of_a_wrong_weight(start, feed) -> No
 
 def test_a_floating_base_without_wrenches_is_told_of_contacts_before_any_message(feed) -> None:
     without = OnlineIdentification(initial(), replace(feed.selected, wrenches=()), UNPACED)
-    assert "no wrench sensor" in without.setup_fault
+    assert "no wrench sensor is in use" in without.setup_fault
     assert "`contact` " in without.setup_fault
     assert not OnlineIdentification(initial(), feed.selected, UNPACED).setup_fault
 

@@ -92,6 +92,13 @@ def test_a_longer_save_time_allows_an_estimate_from_all_data(fed: OnlineIdentifi
     assert (summary["alarms"], summary["warnings"][-1]) == ([], TOO_EARLY_TO_FIT)
 
 
+def test_a_save_answers_with_the_alarms_of_the_result(
+    fed: OnlineIdentifier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(OnlineIdentifier, "_alarms_of", lambda *_: ("the data contradict it",))
+    assert fed._save().endswith("; alarm: the data contradict it")
+
+
 def test_a_reset_says_that_the_end_replaces_what_was_saved(fed: OnlineIdentifier) -> None:
     assert "replaces" not in fed._reset()
     fed._has_saved = True
