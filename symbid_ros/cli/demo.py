@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from symbid_ros.atomic_write import check_replaceable, check_writable, kept_until_replaced
 from symbid_ros.cli.learning_demo import SEED as LEARNING_SEED
 from symbid_ros.cli.learning_demo import demonstrate_learning
-from symbid_ros.cli.live import WebPort, start_page
+from symbid_ros.cli.live import SAVE_TIME, SAVING_TIME, WebPort, start_page
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.simulation.options import SimulateOptions
 
@@ -326,7 +326,6 @@ def _truncations(prepared: "LoadedProblem", validation: Path) -> "dict[tuple[str
 
 
 POLL = 0.2  # s
-SAVING_TIME = 120.0  # s; the identifier may lag behind on a slow machine
 
 
 def demonstrate_online(out: Path, model: Path, moves: int, seed: int, console: Console) -> None:
@@ -351,6 +350,7 @@ def _identify_online(
         "model": str(model),
         "prior": str(out / "prior.json"),
         "out": str(out / "online"),
+        "save_time": SAVE_TIME,
     }
 
     with private_graph() as graph:
@@ -409,6 +409,7 @@ def demonstrate_payload(
     logs.mkdir()
     common = {"model": str(model), "prior": str(out / "prior.json")}
     parameters = common | {"mode": "online", "out": str(out / "online"), "memory": MEMORY}
+    parameters["save_time"] = SAVE_TIME
     load = PAYLOAD | {"payload_time": fastened}
     awaited = {"wait_for_subscribers": True, "subscribers": 1}
     console.print(

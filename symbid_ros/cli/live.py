@@ -1,6 +1,8 @@
 """``symbid live``: identify a running robot from its topics, shown in terminal and browser."""
 
+import logging
 import os
+import re
 import tempfile
 import time
 from collections.abc import Mapping
@@ -11,15 +13,21 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from symbid_ros.cli.flags import BaseKind, Robot, require_model, with_flags
+from symbid_ros.cli.flags import BaseKind, Robot, flag, require_model, with_flags
 from symbid_ros.cli.processes import NodeProcess, unused_node_name
-from symbid_ros.errors import SymbidError
+from symbid_ros.errors import OptionError, SymbidError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
-from symbid_ros.options import options_of
+from symbid_ros.options import options_of, spelled
+from symbid_ros.report.formatting import counted
+
+logger = logging.getLogger(__name__)
 
 POLL = 0.2  # s
 SAVING_TIME = 120.0  # s; a slow machine may lag behind
+SAVE_TIME = SAVING_TIME / 2  # s for the last estimate
+# Of a relative or absolute ROS namespace.
+NAMESPACE = re.compile(r"/?|/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*/?", re.ASCII)
 AS_IT_IS: dict[str, Any] = {"soft_wrap": True, "markup": False, "highlight": False}
 # Parameters of the identifier that the page needs as well.
 SHARED_WITH_PAGE = "prior", "joint_topic", "rename_joint", "flip_joint", "hold_joint"
@@ -44,6 +52,9 @@ def live(
         Path | None,
         typer.Option(help="Folder for the result, which is written at the end and by Save."),
     ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the result of an earlier run in --out.")
+    ] = False,
     memory: Annotated[
         float,
         typer.Option(
@@ -74,18 +85,30 @@ def live(
     It starts the nodes identifier and monitor, and with --web also web_monitor, in the ROS domain
     of this terminal. If an identifier runs there already, this one gets another name, which is
     printed.
+
+    Exit status: 0 ended, 1 ended with alarms (do not trust the numbers yet), 2 no estimate.
     """
+    from symbid_ros.atomic_write import require_no_files
+    from symbid_ros.identification.result_files import CALIBRATED, RESULT_FILES
     from symbid_ros.model.load import load_model
     from symbid_ros.shutdown import exit_on_signals
 
+    if not NAMESPACE.fullmatch(namespace):
+        raise OptionError(
+            f"`namespace`: {namespace!r} is no ROS namespace; give names of letters, digits and _ "
+            "that begin with a letter, such as robot1/left_arm",
+            "E501",
+        )
     path = require_model(model, "MODEL")
     load_model(path, base)  # an error is better shown here than in the log of a node
+    if out is not None:
+        require_no_files(out, (*RESULT_FILES, *CALIBRATED), overwrite=overwrite)
     exit_on_signals()
     console = Console()
     logs = Path(tempfile.mkdtemp(prefix="symbid_live_"))
     common: dict[str, object] = {"model": str(path.resolve()), "base": base}
     given = given_parameters(options, log)
-    parameters = common | given | {"mode": "online", "memory": memory}
+    parameters = common | given | {"mode": "online", "memory": memory, "save_time": SAVE_TIME}
     if out is not None:
         parameters["out"] = str(out.resolve())
     page = common | {"host": host, "port": port}
@@ -138,7 +161,21 @@ def live(
                 if identifier.was_interrupted:  # there was nothing to save yet
                     raise KeyboardInterrupt from None
                 raise
-    console.print(f"\n{summary.get('saved', 'nothing saved; give --out to keep the result')}")
+    report_end(summary, console)
+
+
+def report_end(summary: Mapping[str, Any], console: Console) -> None:
+    """Print what an identifier saved, with its warnings and alarms; alarms give exit status 1."""
+    for warning in summary.get("warnings", ()):
+        logger.warning("%s", warning)
+    console.print(
+        f"\n{summary.get('saved', 'nothing saved; give --out to keep the result')}", **AS_IT_IS
+    )
+    if alarms := summary.get("alarms", ()):
+        for alarm in alarms:
+            console.print(f"alarm: {spelled(alarm, flag)}", **AS_IT_IS)
+        console.print(f"{counted(len(alarms), 'alarm')}: do not trust these numbers yet")
+        raise typer.Exit(1)
 
 
 def start_page(

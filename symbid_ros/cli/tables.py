@@ -289,9 +289,8 @@ def _lines(estimate: Estimate) -> list[RenderableType]:
 
 
 def _verdict_lines(estimate: Estimate, verdict: Verdict) -> list[RenderableType]:
-    parameters = len(estimate.names) - len(estimate.fixed)
     lines: list[RenderableType] = [
-        f"{len(verdict.directions)} of {parameters} directions determined, "
+        f"{len(verdict.directions)} of {estimate.identified} directions determined, "
         f"{verdict.gain:.0f} bits gained"
     ]
     if verdict.sensors:

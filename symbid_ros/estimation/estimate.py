@@ -236,6 +236,11 @@ class Estimate:
             and name not in chosen
         )
 
+    @property
+    def identified(self) -> int:
+        """Number of parameters that were identified: all that are not fixed."""
+        return len(self.names) - len(self.fixed)
+
     def describe_terms(self) -> str:
         """Return the chosen joint terms as one line; empty if the user named the terms."""
         if self.joint_terms is None:

@@ -274,7 +274,11 @@ class IdentifyOptions(RobotOptions):
         "Write calibrated.urdf and calibrated.xml as well: the identified robot with the joint "
         "placements that `sensor_errors` link_length and joint_axis found.",
     )
-    unchecked: bool = option(False, "Skip the checks of the log (`symbid bag doctor`).")
+    unchecked: bool = option(
+        False,
+        "Skip the checks of the log (`symbid bag doctor`); live, the check that forces carry the "
+        "weight.",
+    )
 
     def __post_init__(self) -> None:
         """Check for options that contradict each other or have no effect with this method."""

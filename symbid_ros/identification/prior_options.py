@@ -32,7 +32,7 @@ def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet
     """Return the columns of the data, and warn about known joint terms of the model file."""
     robot = with_robot_options(robot, options)
     if options.chooses_terms and options.information is not None:
-        parameters = columns_of(robot, load_archive(options.information))
+        parameters = columns_of(robot, load_archive(options.information), str(options.information))
     else:
         has_springs = any(joint.stiffness for joint in robot.joints)
         springs = (SPRING,) if options.chooses_terms and has_springs else ()

@@ -1,5 +1,6 @@
 """An identification before a method is chosen: data, prior and pseudo-measurements."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -112,8 +113,18 @@ class Problem:
         return self.prior.names[len(self.parameters) :]
 
 
-def check_weight(rows: Information, parameters: ParameterSet, prior: Prior) -> None:
+def check_weight(
+    rows: Information, parameters: ParameterSet, prior: Prior, cause: Callable[[], str]
+) -> None:
     """Check that the measured forces carry the weight of a floating robot.
+
+    Parameters
+    ----------
+    rows : Information
+    parameters : ParameterSet
+    prior : Prior
+    cause : callable
+        Returns what is wrong and how to correct it, if the check fails.
 
     Raises
     ------
@@ -126,8 +137,7 @@ def check_weight(rows: Information, parameters: ParameterSet, prior: Prior) -> N
     if missing > MAX_UNEXPLAINED:
         raise DataError(
             f"live topics: the measured wrenches differ from those that the motion needs by "
-            f"{100 * missing:.0f} % of the robot's weight; publish the wrench of every contact, or "
-            "set `unchecked`",
+            f"{100 * missing:.0f} % of the robot's weight; {cause()}",
             "E513",
         )
 

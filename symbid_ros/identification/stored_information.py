@@ -58,7 +58,7 @@ def _require_alike(
     coordinates: tuple[tuple[str, ...], ...], parameters: tuple[tuple[str, ...], ...], named: str
 ) -> None:
     """Raise an error that says which names only one of two runs has, if any."""
-    for of_runs, difference in ((coordinates, "of different robots, "), (parameters, "")):
+    for of_runs, difference in ((coordinates, "it is of another robot: "), (parameters, "")):
         one, other = map(set, of_runs)
         only = [name for names in of_runs for name in names if name in one ^ other]
         if not only:
@@ -93,8 +93,17 @@ def with_constant_friction(observations: tuple[Observations, ...]) -> tuple[Obse
     )
 
 
-def columns_of(robot: RobotModel, observations: Sequence[Observations]) -> ParameterSet:
-    """Return the columns that observations have: those of candidate terms, or of given ones."""
+def columns_of(
+    robot: RobotModel, observations: Sequence[Observations], named: str = "information"
+) -> ParameterSet:
+    """Return the columns that observations have: those of candidate terms, or of given ones.
+
+    Raises
+    ------
+    EstimateError
+        When they are of another robot.
+    """
+    _require_alike((observations[0].layout.coordinates, robot.coordinates), ((), ()), named)
     if any(one.slipping is not None for one in observations):
         names = observations[0].layout.parameters
         return replace(ParameterSet.of_names(robot, names), candidates=True)

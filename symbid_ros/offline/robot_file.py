@@ -30,6 +30,7 @@ OF_THE_NODE = (
     "resume",
     "robot_description",
     "row_share",
+    "save_time",
     "settle",
     "solve_period",
     "use_sim_time",

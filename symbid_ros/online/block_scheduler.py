@@ -152,6 +152,14 @@ class BlockScheduler:
         start = self._open_from // length * length
         return start, start + length
 
+    def _is_too_short(self, start: int, stop: int) -> bool:
+        """Return whether a time since the first message is too short for a segment of any rate."""
+        if self._period is None or self._open_from is None:
+            return False
+        shortest = SHORTEST_SEGMENT * self._period
+        is_possible = block_length(1e9 / self._period) >= shortest
+        return is_possible and stop - max(start, self._open_from) < shortest
+
     def _shortest_partial_block(self) -> int:
         period = self._period or 1.0
         _, edge = prefilter(1e9 / period)
@@ -176,5 +184,5 @@ class BlockScheduler:
             streams = self.streams.between(start - margin, messages_until)
             segments = align_checked(streams, self._model)
         except SymbidError as error:
-            return TimeSpan(start, stop, (), str(error))
+            return TimeSpan(start, stop, (), "" if self._is_too_short(start, stop) else str(error))
         return TimeSpan(start, stop, tuple(cut_to(segments, start, stop)))

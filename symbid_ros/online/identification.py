@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.findings import Finding
+from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.diagnosis.wrist_evidence import check_signs
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.estimation.estimate import RowSettings
@@ -27,6 +29,7 @@ from symbid_ros.identification.accumulator import (
     TimeSpan,
     build_block_rows,
 )
+from symbid_ros.identification.assumed_contacts import leg_ends
 from symbid_ros.identification.change_monitor import Change, ChangeMonitor
 from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
@@ -34,6 +37,7 @@ from symbid_ros.identification.tares import Tare
 from symbid_ros.identification.window_comparison import WindowSelector
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import BOOL
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker
 from symbid_ros.online.changed_priors import ChangedPriors
@@ -45,11 +49,13 @@ from symbid_ros.online.live_terms import LiveTerms
 from symbid_ros.online.message_check import MessageCheck
 from symbid_ros.signals.alignment import joint_columns
 from symbid_ros.signals.calibrating_rows import CalibratingRows
+from symbid_ros.signals.streams import Slice
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suitable_windows
 
 logger = logging.getLogger(__name__)
 
 RECENT_FAULTS = 10
+UNIT_TIME = 2_000_000_000  # ns of messages whose units are checked
 POSTURE_TIME = 50_000_000  # ns; every part of a robot publishes its joints within this time
 
 
@@ -99,6 +105,8 @@ class OnlineIdentification:
         Number of times a topic's clock jumped back.
     checks : dict of Topic to MessageCheck
         Validity check of each topic, which counts dropped messages.
+    setup_fault : str
+        Why these topics and options cannot give an estimate; empty if they can.
     """
 
     def __init__(self, initial_state: InitialState, selected: SelectedTopics, pace: Pace) -> None:
@@ -124,6 +132,7 @@ class OnlineIdentification:
             )
             for topic in selected.all
         }
+        self.setup_fault = _setup_fault(selected, model)
         self._posterior: Posterior | None = None
         # With the number of blocks from which it was found.
         self._is_coupled: tuple[int, bool] | None = None
@@ -295,12 +304,12 @@ class OnlineIdentification:
         now = self._accumulator.current
         if now.rows.samples == 0:
             return None
+        self._check_weight(now)
         # Before the first complete block the newest data are the only observations.
         blocks = self._choose_terms(replace(problem, observations=problem.observations or (now,)))
         if problem.observations:
             self._choose_window(blocks)
             now = self._accumulator.current
-        self._check_weight(now)
         problem, now = blocks, self._terms.usable_rows(now).restricted(blocks.prior.names)
         # Whether covariances may be weights is tested with each complete block.
         count, tested = self._accumulator.blocks.count, self._is_coupled
@@ -427,6 +436,8 @@ class OnlineIdentification:
         """Discard everything except the prior and the tares."""
         initial = self._initial_state
         self._posterior = self._calibration = None
+        for buffer in self.streams.buffers.values():
+            buffer.clear_faults()
         self._terms.clear()
         self._changed.clear()
         self._problem = replace(initial.problem, inputs=self._inputs)
@@ -443,6 +454,10 @@ class OnlineIdentification:
         self._worker.restart(nothing, equation_rows(self._parameters), self._windows)
         self._accumulator.restart(nothing, window)
         self._until = 0
+
+    def expect_pause(self) -> None:
+        """Accept that messages are missing before the next one of each topic."""
+        self._scheduler.streams.expect_pause()
 
     def set_tares(self, tares: Mapping[str, Tare]) -> str:
         """Use what unloaded wrench sensors read, by frame, as priors of their offsets.
@@ -513,8 +528,34 @@ class OnlineIdentification:
 
     def _check_weight(self, shortest: Observations) -> None:
         if not self._options.unchecked:
-            check_weight(shortest.rows, self._parameters, self._problem.prior)
+            check_weight(
+                shortest.rows, self._parameters, self._problem.prior, self._cause_of_wrong_weight
+            )
             check_signs(shortest.rows, self._parameters)
+
+    def _cause_of_wrong_weight(self) -> str:
+        """Return why the measured forces may not carry the robot's weight, and what to do."""
+        if self.setup_fault:
+            return "no wrench sensor is in use"
+        units = "; ".join(one.message for one in self._wrong_units())
+        return units or (
+            "publish the wrench of every contact, check units (N, m/s², rad) and signs, or set "
+            "`unchecked`"
+        )
+
+    def _wrong_units(self) -> Sequence[Finding]:
+        """Return the findings about units in the newest messages that make a log unusable."""
+        stop = self.streams.complete_until
+        if stop is None:
+            return ()
+        start = stop - UNIT_TIME
+        try:
+            streams = self.streams.between(start, stop + 1)
+        except SymbidError:  # reported with its block
+            return ()
+        checks = StreamChecks(self._parameters.model)
+        checks.take(Slice(start, stop + 1, streams, {}, ()))
+        return unusable(checks.unit_findings())
 
     def _identify(self, solver: Solver, *, with_verdict: bool) -> Identification:
         method = self._options.method
@@ -523,3 +564,14 @@ class OnlineIdentification:
         if method == "map":
             return solver.map(with_verdict=with_verdict)
         return solver.truncated(method, Truncation(self._options.rank))
+
+
+def _setup_fault(selected: SelectedTopics, model: RobotModel) -> str:
+    """Return what a floating base lacks if no wrench is measured and no contact is named."""
+    if not model.floating or model.contacts is not None or selected.wrenches:
+        return ""
+    feet = ",".join(f"{name}:point" for name in leg_ends(model)) or "FRAME:point,..."
+    return (
+        "no wrench sensor is in use, so that the forces on the robot are unknown; name what "
+        f"touches the ground as `contact` {feet}, or start the drivers of the wrench sensors"
+    )

@@ -120,6 +120,10 @@ class TopicBuffer:
         self._keep(())
         self.newest = self._counted = None
 
+    def clear_faults(self) -> None:
+        """Set the numbers of late, missing and disordered messages and of pauses to zero."""
+        self.late = self.missing = self.pauses = self.disordered = 0
+
     def _keep(self, indices: Iterable[int]) -> None:
         kept = list(indices)
         if len(kept) < len(self._payloads):
@@ -154,6 +158,7 @@ class LiveStreams:
     released_until: int | None = None
     buffers: dict[Topic, TopicBuffer] = field(init=False)
     _clock: int | None = None
+    _pausing: set[Topic] = field(default_factory=set)
     _flags: dict[Topic, FlagHistory] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -176,8 +181,14 @@ class LiveStreams:
     def jump_ahead(self, topic: Topic, stamp: int) -> int:
         """Return by how much a stamp is ahead of the topic's last one, ns; 0 if it follows it."""
         newest = self.buffers[topic].newest
-        ahead = 0 if newest is None else stamp - newest
+        is_expected = topic in self._pausing
+        self._pausing.discard(topic)
+        ahead = 0 if newest is None or is_expected else stamp - newest
         return ahead if ahead > CLOCK_JUMP else 0
+
+    def expect_pause(self) -> None:
+        """Expect messages to be missing before the next one of each topic."""
+        self._pausing = set(self.buffers)
 
     def restart(self) -> None:
         """Drop all messages and restart the clock."""

@@ -150,7 +150,10 @@ class MessageCheck:
             return "a joint is listed twice"
         if self._joints.isdisjoint(names):
             others = ", ".join(names[:MAX_NAMES]) or "no joint"
-            return f"it has none of the model's joints ({others})"
+            return (
+                f"it has none of the model's joints ({others}); give `rename_joint` NAME:=JOINT, "
+                "or let `symbid init` find the names"
+            )
         return ""
 
     def _drop(self, reason: str) -> None:

@@ -58,7 +58,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
         *_holdout_entries(estimate.holdout),
         SummaryEntry(
             "Effective parameters",
-            f"{significant(verdict.effective)} of {len(estimate.names) - len(estimate.fixed)}",
+            f"{significant(verdict.effective)} of {estimate.identified}",
             "sum over all combinations of the share that the data add; "
             f"{significant(verdict.gain)} bits gained in total",
         ),

@@ -175,8 +175,7 @@ def describe_measured(estimate: Estimate) -> str:
     """Return the number of measured combinations, as the terminal does."""
     if estimate.verdict is None:
         return ABSENT
-    count = len(estimate.names) - len(estimate.fixed)
-    return f"{len(estimate.verdict.directions)} of {count}"
+    return f"{len(estimate.verdict.directions)} of {estimate.identified}"
 
 
 def _describe_findings(log: ReportData) -> str:

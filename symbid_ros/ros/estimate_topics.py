@@ -54,7 +54,7 @@ def estimate_status(
     values: dict[str, object] = {"method": estimate.method, "samples": estimate.samples}
     if estimate.determined is not None:
         count = int(estimate.determined.sum())
-        values["determined"] = f"{count} of {len(estimate.determined)}"
+        values["determined"] = f"{count} of {estimate.identified}"
     faults += alarms
     if estimate.rank is not None:
         values["rank"] = estimate.rank

@@ -1,7 +1,8 @@
 """The status of an online identifier on ``/diagnostics``, with the faults of its topics."""
 
+import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,15 +13,15 @@ from symbid_ros.messages.topics import Topic
 from symbid_ros.online.estimate import OnlineEstimate
 from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.online.live_streams import LiveStreams, TopicBuffer
+from symbid_ros.online.message_check import MessageCheck
 from symbid_ros.ros.estimate_topics import estimate_status
-from symbid_ros.ros.monitor_messages import DISABLED
+from symbid_ros.ros.monitor_messages import DISABLED, TOO_EARLY_TO_FIT
 from symbid_ros.ros.reporting import ERROR, OK, WARN, NodeStatus
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 
 SILENCE = 2.0  # s without a message until a topic is reported
 RATE_PERIOD = 0.5  # s; shortest time over which rates are computed
 IN_ORDER = "in order"
-TOO_EARLY_TO_FIT = "too early to tell whether the model with its joint terms explains the data"
 TOO_FEW = "too few data for an estimate"
 TOO_EARLY = "too early to detect a change"
 
@@ -50,16 +51,18 @@ def _sensor_statuses(outcome: OnlineEstimate) -> tuple[NodeStatus, ...]:
 
 @dataclass
 class StreamMonitor:
-    """Finds topics that are silent or have invalid stamps, from their message counts.
+    """Finds topics that are silent or whose messages are all unusable, from their message counts.
 
-    Invalid stamps remain a topic's fault when it falls silent.
+    Invalid stamps remain a topic's fault when it falls silent, as do messages of another robot.
     """
 
     _last: dict[str, _Counts] = field(default_factory=dict)
     _received: dict[str, float] = field(default_factory=dict)
     _stamp_faults: dict[str, str] = field(default_factory=dict)
+    # Number of messages that were dropped when the last usable one arrived.
+    _dropped: dict[str, int] = field(default_factory=dict)
 
-    def check(self, streams: LiveStreams) -> dict[str, str]:
+    def check(self, streams: LiveStreams, checks: Mapping[Topic, MessageCheck]) -> dict[str, str]:
         """Return the faults since the last check, by topic."""
         faults: dict[str, str] = {}
         now = time.monotonic()
@@ -77,6 +80,10 @@ class StreamMonitor:
                 is_lasting = is_stale and last.is_stale
                 fault = _stamp_fault(buffer, last, streams.clock if is_lasting else None)
                 self._stamp_faults[name] = fault
+                self._dropped[name] = checks[topic].dropped
+            elif (dropped := checks[topic].dropped) > self._dropped.get(name, 0):
+                reason = checks[topic].reason.removeprefix(f"{name}: ")
+                fault = f"none of {dropped - self._dropped.get(name, 0)} messages is used: {reason}"
             elif not (fault := self._stamp_faults.get(name, "")):
                 is_silent = now - self._received.setdefault(name, now) > SILENCE
                 fault = f"no message for over {SILENCE:g} s; check its driver" if is_silent else ""
@@ -190,8 +197,12 @@ class IdentifierDiagnostics:
         newest = live.streams.joints.newest
         self._age = 0.0 if newest is None else max((newest - outcome.until) * 1e-9, 0.0)
         # A warning all the same: no controller may use a model that is not yet judged.
-        alarms = outcome.alarms if live.can_tell_fit or not outcome.alarms else (TOO_EARLY_TO_FIT,)
-        self._estimate = self._estimate_status(outcome, alarms, known, solve_time)
+        is_judged = live.can_tell_fit
+        alarms = outcome.alarms if is_judged or not outcome.alarms else (TOO_EARLY_TO_FIT,)
+        status = self._estimate_status(outcome, alarms, known, solve_time)
+        if status.level == OK and not is_judged:
+            status = replace(status, message=TOO_EARLY_TO_FIT)
+        self._estimate = status
         self._sensors = _sensor_statuses(outcome)
         values = {"evidence": f"{live.evidence:.1f}"}
         change = outcome.change or outcome.followed
@@ -239,8 +250,13 @@ class IdentifierDiagnostics:
             }
         return estimate_status(outcome.found.estimate, alarms, details)
 
-    def update_streams(self, live: OnlineIdentification) -> dict[str, str] | None:
-        """Update the status of the topics; return their faults, or None before `RATE_PERIOD`."""
+    def update_streams(
+        self, live: OnlineIdentification, setup_faults: Mapping[str, str]
+    ) -> dict[str, str] | None:
+        """Update the status of the topics; return their faults, or None before `RATE_PERIOD`.
+
+        ``setup_faults`` holds, by subject, why the topics in use cannot give an estimate.
+        """
         now = time.monotonic()
         elapsed = now - self._updated
         if elapsed < RATE_PERIOD:
@@ -249,13 +265,17 @@ class IdentifierDiagnostics:
         values: dict[str, object] = {}
         if not self._is_enabled:
             self._monitor.pause()
-        faults_by_topic = self._monitor.check(live.streams)
+        faults_by_topic = {**self._monitor.check(live.streams, live.checks), **setup_faults}
         for topic, buffer in live.streams.buffers.items():
             name = topic.name
-            new = buffer.received - self._counts.get(name, 0)
-            self._counts[name] = buffer.received
-            values[f"{name}/rate"] = f"{new / elapsed:.1f}"
-            values[f"{name}/received"] = buffer.received
+            before, received = self._counts.get(name, 0), buffer.received
+            self._counts[name] = received
+            # A topic that was silent may have begun at any time of this interval.
+            is_known = received == 0 or 0 < before <= received
+            values[f"{name}/rate"] = (
+                f"{(received - before) / elapsed if is_known else math.nan:.1f}"
+            )
+            values[f"{name}/received"] = received
             values[f"{name}/missing"] = buffer.missing
             values[f"{name}/pauses"] = buffer.pauses
             values[f"{name}/late"] = buffer.late
@@ -264,17 +284,21 @@ class IdentifierDiagnostics:
             values[f"{name}/unstamped"] = buffer.unstamped
         values |= {"clock_jumps": live.clock_jumps, "stale": live.streams.stale}
         values["lost_blocks"] = live.lost_blocks
-        faults = [*faults_by_topic.values(), *list(live.faults)[-1:], *self._newly_dropped(live)]
+        faults = [*faults_by_topic.values(), *list(live.faults)[-1:]]
+        faults += self._newly_dropped(live, faults_by_topic)
         level = WARN if faults else OK
         self._streams = NodeStatus("streams", level, "; ".join(faults) or IN_ORDER, values)
         return faults_by_topic
 
-    def _newly_dropped(self, live: OnlineIdentification) -> list[str]:
-        """Return the number of messages dropped since the last update, and why."""
+    def _newly_dropped(self, live: OnlineIdentification, reported: Collection[str]) -> list[str]:
+        """Return the number of messages dropped since the last update, and why.
+
+        Topics with a reported fault are left out.
+        """
         dropped = []
         for topic, check in live.checks.items():
             new = check.dropped - self._dropped.get(topic.name, 0)
             self._dropped[topic.name] = check.dropped
-            if new:
+            if new and topic.name not in reported:
                 dropped.append(f"{new} messages dropped, the last one because {check.reason}")
         return dropped

@@ -76,6 +76,14 @@ PARAMETERS = (
         "queue_depth", 5000, "Online: messages of each topic that may wait to be read.", minimum=100
     ),
     Parameter(
+        "save_time",
+        1.5,
+        "Online: seconds that the last estimate may take at shutdown; if it needs more, the newest "
+        "one is saved, because `ros2 launch` kills nodes that take a few seconds.",
+        minimum=0.0,
+        maximum=600.0,
+    ),
+    Parameter(
         "row_share",
         0.15,
         "Online: share of a CPU core that the rows of complete blocks may use.",

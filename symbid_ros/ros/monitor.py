@@ -39,7 +39,7 @@ from symbid_ros.ros.process import run_node
 from symbid_ros.ros.reporting import NUMBER
 
 SILENCE = 3.0  # s without a status until it is reported; the identifier publishes every second
-LEGEND = "known: from the data; σ ÷: reduction since the first estimate"
+LEGEND = "known: from the data; σ ÷: first σ divided by the present one"
 ERROR_LEGEND = "; error: RMS of the ten"
 IMPOSSIBLE = "physically impossible"
 POLL = 0.1  # s
@@ -123,9 +123,9 @@ def progress(view: MonitorView) -> str:
     status = view.status
     if not status.values and not status.warnings:
         return f"preparing: waiting for {view.identifier}, which compiles at the first start"
-    if status.streams:
-        return f"ready: move the robot; {', '.join(map(_stream, status.streams))}"
-    return f"waiting for {view.identifier}/estimate"
+    is_ready = status.streams and status.is_ready
+    state = "ready: move the robot" if is_ready else f"waiting for {view.identifier}/estimate"
+    return "; ".join(filter(None, [state, ", ".join(map(_stream, status.streams))]))
 
 
 def line(view: MonitorView, estimate: RobotEstimate) -> str:
@@ -138,7 +138,7 @@ def line(view: MonitorView, estimate: RobotEstimate) -> str:
     if view.truth:
         parts.append(f"error {fixed(_overall_error(view, estimate), 2)} σ")
     parts += _age(view.status)
-    warnings = "; ".join(view.status.warnings) or "no warning"
+    warnings = "; ".join(view.status.warnings) or view.status.no_warning
     return f"data to {_clock(estimate.stamp)}: {', '.join(parts)}; {warnings}"
 
 
@@ -204,7 +204,7 @@ def _warnings(view: MonitorView, estimate: RobotEstimate) -> list[RenderableType
     if view.silence > SILENCE:
         warnings.append(f"error: no diagnostics of {view.identifier} for {view.silence:.0f} s")
     if not warnings:
-        return [*lines, Text("no warning", style="green")]
+        return [*lines, Text(status.no_warning, style="green" if status.is_judged else "")]
     return [*lines, *(Text(warning, style="bold red") for warning in warnings)]
 
 
@@ -223,8 +223,7 @@ def _count(estimate: RobotEstimate) -> str:
 
 def _stream(stream: StreamCounts) -> str:
     rate = f" {stream.rate:.0f} Hz" if math.isfinite(stream.rate) else ""
-    faults = "".join(f" ({count} {what})" for what, count in stream.faults.items())
-    return f"{stream.topic}{rate}{faults}"
+    return "".join([stream.topic, rate, *(f" ({fault})" for fault in stream.counted_faults)])
 
 
 def _age(status: IdentifierStatus) -> list[str]:

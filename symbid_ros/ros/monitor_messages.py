@@ -13,11 +13,15 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.model.inertia import PARAMETERS
+from symbid_ros.report.formatting import counted
 
 # Counts of a stream that should be zero.
-FAULTS = "missing", "pauses", "late", "dropped"
+PAUSES = "pauses"
+FAULTS = "missing", PAUSES, "late", "dropped"
 LEVELS = {1: "warning", 2: "error"}
-DISABLED = "disabled by ~/enable"  # message of the status "estimate"
+# Messages of the status "estimate".
+DISABLED = "disabled by ~/enable"
+TOO_EARLY_TO_FIT = "too early to tell whether the model with its joint terms explains the data"
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,14 @@ class StreamCounts:
     rate: float
     faults: Mapping[str, int]
 
+    @property
+    def counted_faults(self) -> tuple[str, ...]:
+        """Each fault with its count, such as ``2 missing`` or ``1 pause``."""
+        return tuple(
+            counted(count, "pause") if what == PAUSES else f"{count} {what}"
+            for what, count in self.faults.items()
+        )
+
 
 @dataclass(frozen=True)
 class IdentifierStatus:
@@ -116,6 +128,13 @@ class IdentifierStatus:
     warnings: tuple[str, ...]  # level and message of every status that is not OK
     streams: tuple[StreamCounts, ...]
     is_enabled: bool = True
+    is_ready: bool = True  # whether all topics have usable messages
+    is_judged: bool = True  # whether it can tell if the model explains the data
+
+    @property
+    def no_warning(self) -> str:
+        """What there is to say without a warning."""
+        return "no warning" if self.is_judged else f"no warning yet: {TOO_EARLY_TO_FIT}"
 
     def number(self, key: str) -> float:
         """Return a value as a number; NaN if it is missing or not a number."""
@@ -160,6 +179,8 @@ def read_status(statuses: Mapping[str, DiagnosticStatus]) -> IdentifierStatus:
         warnings=tuple(warnings),
         streams=() if streams is None else _streams(_values(streams)),
         is_enabled=estimate is None or estimate.message != DISABLED,
+        is_ready=streams is None or _level(streams) == 0,
+        is_judged=estimate is None or estimate.message != TOO_EARLY_TO_FIT,
     )
 
 

@@ -1,6 +1,7 @@
 """Online identification: from sensor topics to an estimate that is updated every period."""
 
 import json
+import logging
 import sys
 import time
 from collections.abc import Callable
@@ -41,20 +42,22 @@ from symbid_ros.ros.identifier_parameters import (
     model_of,
 )
 from symbid_ros.ros.inertia_markers import InertiaMarkers
+from symbid_ros.ros.monitor_messages import TOO_EARLY_TO_FIT
 from symbid_ros.ros.parameters import ParameterError, watch
 from symbid_ros.ros.raw_subscription import RawSubscription
-from symbid_ros.ros.reporting import FaultReporter, StatusPublisher
+from symbid_ros.ros.reporting import FaultReporter, StatusPublisher, collected_warnings
 from symbid_ros.ros.sensor_topics import SensorTopics, resolve_topics
+
+logger = logging.getLogger(__name__)
 
 POLL = 0.01  # s; queues take far longer to fill
 FOREVER = 2**63 - 1  # ns
 LONGEST_DRAIN = 1.0  # s; on a machine that is too slow, queues never run empty
 # Cost of an exact estimate, relative to the estimates in between.
 EXACT_COST = 4.0
-# Longest time for an estimate at shutdown, s; launch kills nodes that take a few seconds.
-SHUTDOWN_SOLVE_TIME = 1.5
 ANSWER_POLL = 0.1  # s
 CHANGE = "change of the robot"  # what is reported as resolved
+CONTACTS = "contact forces"
 TARE_TIME = 2.0  # s over which the readings of unloaded sensors are averaged
 DISCOVERY_PERIOD = 0.1  # s between two looks at the graph before identification starts
 LATER_DISCOVERY_PERIOD = 1.0  # s afterwards
@@ -110,6 +113,7 @@ class OnlineIdentifier:
                 read_model(self._live_model)  # no other file may be replaced
             self._remove_live_model()
         self._period: float = values["solve_period"]
+        self._save_time: float = values["save_time"]
         self._sensors = SensorTopics(
             node,
             resolve_topics(node, topics, sys.argv),
@@ -129,6 +133,7 @@ class OnlineIdentifier:
         self._described = float("-inf")
         self._solves = 0
         self._newest: OnlineEstimate | None = None
+        self._has_saved = False  # because a service asked for it
         self._solve_time = 0.0  # s
         self._diagnostics = IdentifierDiagnostics()
         self._fault_reporter, self._change_reporter = FaultReporter(node), FaultReporter(node)
@@ -222,7 +227,7 @@ class OnlineIdentifier:
                     subscription.match_publishers()
                 discovered = now
             if now >= due:
-                faults = self._diagnostics.update_streams(self._live)
+                faults = self._diagnostics.update_streams(self._live, self._setup_faults())
                 if faults is not None:
                     self._fault_reporter.update(faults)
                 if self._is_enabled and self._live.has_news:
@@ -234,6 +239,13 @@ class OnlineIdentifier:
                 time.sleep(POLL)
         self._receive_until(time.time_ns(), LONGEST_DRAIN)
         self._finish()
+
+    def _setup_faults(self) -> dict[str, str]:
+        """Return why the topics in use cannot give an estimate; empty once there is one."""
+        if not self._live.setup_fault or self._newest is not None:
+            return {}
+        # Wrench sensors may be ignored for their frames.
+        return {**self._sensors.missing(), CONTACTS: self._live.setup_fault}
 
     @property
     def _live(self) -> OnlineIdentification:
@@ -320,7 +332,12 @@ class OnlineIdentifier:
             raise ParameterError(
                 "parameter out: empty; start the identifier with -p out:=FOLDER", "E801"
             )
-        return self._write(self._solve_exactly(), self._out)
+        estimate = self._solve_exactly()
+        with collected_warnings() as warnings:
+            text = self._write(estimate, self._out)
+        self._has_saved = True
+        alarms = (f"alarm: {alarm}" for alarm in self._alarms_of(estimate))
+        return "; ".join([text, *warnings, *alarms])
 
     def _write(self, estimate: OnlineEstimate, out: Path) -> str:
         start = self._initial_state
@@ -362,7 +379,10 @@ class OnlineIdentifier:
         self._newest = None
         self._remove_live_model()
         self._markers.clear()
-        return "all data are discarded; prior and tares remain"
+        text = "all data are discarded; prior and tares remain"
+        if self._has_saved:
+            text += f"; the next save or the end replaces the result in {self._out}: copy it first"
+        return text
 
     def _finish(self) -> None:
         buffers = self._live.streams.buffers
@@ -370,18 +390,32 @@ class OnlineIdentifier:
             "received": {topic.name: buffer.received for topic, buffer in buffers.items()},
             "missing": {topic.name: buffer.missing for topic, buffer in buffers.items()},
         }
-        if self._out is not None and (final := self._final_estimate()):
-            summary["saved"] = self._write(final, self._out)
-        summary["solves"] = self._solves
+        with collected_warnings() as warnings:
+            final = self._newest if self._out is None else self._final_estimate()
+            if final is not None and self._out is not None:
+                summary["saved"] = self._write(final, self._out)
+        if final is not None:
+            alarms = self._alarms_of(final)
+            summary["alarms"] = alarms
+            if not alarms and not self._live.can_tell_fit:
+                warnings.append(TOO_EARLY_TO_FIT)
+        summary |= {"warnings": warnings, "solves": self._solves}
         print(json.dumps(summary), flush=True)
+
+    def _alarms_of(self, estimate: OnlineEstimate) -> tuple[str, ...]:
+        """Return the alarms of the verdict or, without one, those that are not too early."""
+        verdict = estimate.found.estimate.verdict
+        if verdict is not None:
+            return verdict.alarms
+        return estimate.alarms if self._live.can_tell_fit else ()
 
     def _final_estimate(self) -> OnlineEstimate | None:
         """Return the estimate from all data, or the newest one if there is too little time.
 
         None if there are too few data or they do not suit the robot; the diagnostics state why.
         """
-        if self._newest is not None and EXACT_COST * self._solve_time > SHUTDOWN_SOLVE_TIME:
-            self._node.get_logger().warning(
+        if self._newest is not None and EXACT_COST * self._solve_time > self._save_time:
+            logger.warning(
                 "solving is too slow for shutdown: saving the newest estimate, which lacks the "
                 "latest data"
             )
@@ -390,7 +424,7 @@ class OnlineIdentifier:
             return self._solve(exactly=True)
         except SymbidError as error:
             if self._newest is not None:
-                self._node.get_logger().warning(f"{error}; saving the previous estimate")
+                logger.warning("%s; saving the previous estimate", error)
             return self._newest
 
     def _save_after_error(self) -> None:
@@ -425,6 +459,8 @@ class OnlineIdentifier:
         return handle
 
     def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data and not self._is_enabled and self._identification is not None:
+            self._identification.expect_pause()
         self._is_enabled = bool(request.data)
         self._diagnostics.set_enabled(self._is_enabled)
         response.success = True
@@ -447,4 +483,4 @@ def _read_tares(
 def _summarize(newest: OnlineEstimate) -> str:
     estimate = newest.found.estimate
     count = 0 if estimate.determined is None else int(estimate.determined.sum())
-    return f"{count} of {len(estimate.names)} parameters determined by {estimate.samples} rows"
+    return f"{count} of {estimate.identified} parameters determined by {estimate.samples} rows"

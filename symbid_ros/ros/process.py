@@ -29,6 +29,7 @@ from symbid_ros.ros.unknown_parameters import require_known_parameters
 from symbid_ros.shutdown import interruptible, stop_on_signals
 
 FAILURE = 2  # exit status
+RULE = "parameter override rule"  # what rcl cannot parse after -p
 WARNING_PERIOD = 5.0  # s between two warnings
 PROFILE, TRANSPORTS = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"
 RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
@@ -122,7 +123,9 @@ def run_node(name: str, work: Work, *, purpose: str, parameters: Sequence[Parame
         # rcl reports malformed --ros-args and parameter files as RuntimeError.
         if not _is_argument_error(error):
             raise
-        print(f"{name}: {' '.join(str(error).split())}; check --ros-args", file=sys.stderr)
+        quotes = "quote list entries with colons, and " if RULE in str(error) else ""
+        text = " ".join(str(error).split())
+        print(f"{name}: {text}; {quotes}check --ros-args", file=sys.stderr)
         return FAILURE
     finally:
         rclpy.try_shutdown()

@@ -63,6 +63,31 @@ def forward_python_logs(node: Node) -> Iterator[None]:
         root.removeHandler(handler)
 
 
+class _Collector(logging.Handler):
+    """Appends the text of each record to a list."""
+
+    def __init__(self, level: int, texts: list[str]) -> None:
+        super().__init__(level)
+        self._texts = texts
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Append a record's message."""
+        self._texts.append(self.format(record))
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """Yield a list that gets the warnings logged by Python loggers during the ``with`` block."""
+    warnings: list[str] = []
+    handler = _Collector(logging.WARNING, warnings)
+    root = logging.getLogger()
+    root.addHandler(handler)
+    try:
+        yield warnings
+    finally:
+        root.removeHandler(handler)
+
+
 class OncePerMinute(logging.Filter):
     """Passes each message at most once a minute, ignoring the numbers in it.
 

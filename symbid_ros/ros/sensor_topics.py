@@ -213,7 +213,7 @@ class SensorTopics:
             if candidate.frame and not candidate.is_placed:
                 name, frame = candidate.topic.name, candidate.frame
                 prefix = suggested_prefix(frame, self.model)
-                hint = f"; give -p frame_prefix:={prefix} if it is this robot's" if prefix else ""
+                hint = f"; give `frame_prefix` {prefix} if it is this robot's" if prefix else ""
                 missing[name] = f"{name} is ignored: the model has no frame {frame!r}{hint}"
         return missing
 

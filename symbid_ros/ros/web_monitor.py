@@ -3,7 +3,6 @@
 import math
 import sys
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from threading import Event, Lock
@@ -296,8 +295,7 @@ def _finite(number: float) -> float:
 
 def _stream(stream: StreamCounts) -> str:
     rate = f" {stream.rate:.0f} Hz" if math.isfinite(stream.rate) else ""
-    faults: Mapping[str, int] = stream.faults
-    return f"{stream.topic}{rate}" + "".join(f", {count} {what}" for what, count in faults.items())
+    return ", ".join([f"{stream.topic}{rate}", *stream.counted_faults])
 
 
 def main() -> int:

@@ -11,10 +11,12 @@ from pathlib import Path
 
 import pytest
 import rclpy
+import typer
 from rclpy.context import Context
 from rclpy.node import Node
+from rich.console import Console
 
-from symbid_ros.cli.live import given_parameters
+from symbid_ros.cli.live import given_parameters, report_end
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.package_paths import config_file
@@ -43,6 +45,37 @@ def test_a_wrong_model_is_reported_before_any_node_starts(symbid_here, tmp_path)
     unnamed = symbid_here("live").stderr
     assert "there is no model; give MODEL, or a --robot file" in unnamed
     assert "E501" in unnamed
+
+
+@pytest.mark.parametrize("name", ["bad name", "a//b", "1x"])
+def test_an_invalid_namespace_is_refused(symbid_here, name: str) -> None:
+    refused = symbid_here("live", MODEL, "--namespace", name)
+    assert refused.returncode == 2
+    assert f"--namespace: {name!r} is no ROS namespace" in refused.stderr
+    assert "E501" in refused.stderr
+
+
+def test_an_earlier_result_is_kept(symbid_here, tmp_path) -> None:
+    (tmp_path / "estimate.json").write_text("earlier")
+    refused = symbid_here("live", MODEL, "--out", tmp_path)
+    assert refused.returncode == 2
+    assert "give --overwrite" in refused.stderr
+    assert "E551" in refused.stderr
+
+
+def test_the_end_repeats_warnings_and_alarms(capsys, caplog) -> None:
+    console = Console(width=200)
+    report_end({"saved": "9 of 10 parameters, written to out", "alarms": []}, console)
+    summary = {"saved": "written to out", "warnings": ["old data"], "alarms": ["give `contact`"]}
+    with pytest.raises(typer.Exit) as end:
+        report_end(summary, console)
+    assert end.value.exit_code == 1
+    assert caplog.messages == ["old data"]
+    assert capsys.readouterr().out.splitlines()[-3:] == [
+        "written to out",
+        "alarm: give --contact",
+        "1 alarm: do not trust these numbers yet",
+    ]
 
 
 @pytest.mark.usefixtures("domain")

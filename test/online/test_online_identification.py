@@ -371,6 +371,26 @@ def test_a_jump_ahead_is_a_pause_and_no_missing_messages(
     said = [one.message for one in caplog.records if "jump ahead" in one.message]
     assert len(said) == len(buffers)
     assert f"jump ahead by {back - 2.5:.1f} s" in said[0]
+    live.reset()
+    assert {(buffer.missing, buffer.pauses) for buffer in buffers} == {(0, 0)}
+
+
+def test_a_pause_that_was_asked_for_is_no_fault(
+    start, feed, caplog: pytest.LogCaptureFixture
+) -> None:
+    live = start(**LINKS)
+    feed.between(0.0, 2.5).into(live)
+    live.expect_pause()
+    feed.between(5.0, 6.0).into(live)
+    assert {buffer.pauses for buffer in live.streams.buffers.values()} == {0}
+    assert not any("jump ahead" in one.message for one in caplog.records)
+
+
+def test_a_first_block_that_is_too_short_is_no_fault(start, feed) -> None:
+    live = start(**LINKS)
+    feed.between(3.97, 8.5).into(live)
+    live.advance()
+    assert (live.lost_blocks, list(live.faults)) == (0, [])
 
 
 def test_forces_that_do_not_match_the_weight_are_refused(feed) -> None:
@@ -381,6 +401,37 @@ def test_forces_that_do_not_match_the_weight_are_refused(feed) -> None:
     with pytest.raises(DataError, match=r"by \d+ % of the robot's weight"):
         other.solve()
     other.close()
+
+
+def test_a_wrong_unit_is_named_as_the_cause_of_a_wrong_weight(start, feed) -> None:
+    def in_g(payload: bytes) -> bytes:
+        head, values = payload[:-96], np.frombuffer(payload[-96:], "<f8").copy()
+        values[:3] /= 9.81  # linear_acceleration, before its covariance
+        return head + values.tobytes()
+
+    live = start(**LINKS)
+    for _, topic, payload in feed.between(0.0, 3.0).messages:
+        live.feed(topic, in_g(payload) if topic.name == "/imu/data" else payload)
+    with pytest.raises(DataError, match=r"% of the robot's weight; /imu/data: .* as if in g; use"):
+        live.solve()
+
+
+def test_a_floating_base_without_wrenches_is_told_of_contacts_before_any_message(feed) -> None:
+    without = OnlineIdentification(initial(), replace(feed.selected, wrenches=()), UNPACED)
+    assert "no wrench sensor is in use" in without.setup_fault
+    assert "`contact` " in without.setup_fault
+    assert not OnlineIdentification(initial(), feed.selected, UNPACED).setup_fault
+
+
+def test_the_data_of_another_robot_are_named_as_such(tmp_path) -> None:
+    write_archive(tmp_path / "information.npz", initial().observations)
+    other = load_model(config_file("symbitron.xml"))
+    joints = tuple(replace(one, name=f"go2/{one.name}") for one in other.joints)
+    with pytest.raises(EstimateError, match=r"information.npz: it is of another robot: ") as error:
+        InitialState.of(
+            replace(other, joints=joints), options(information=tmp_path / "information.npz")
+        )
+    assert error.value.code == "E505"
 
 
 @pytest.mark.parametrize(

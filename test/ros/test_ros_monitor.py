@@ -27,6 +27,7 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.ros.monitor import PARAMETERS, MonitorView, Screen, line, page
 from symbid_ros.ros.monitor_messages import (
     DISABLED,
+    TOO_EARLY_TO_FIT,
     IdentifierStatus,
     StreamCounts,
     read_estimate,
@@ -196,6 +197,11 @@ class TestPage:
         ]
         assert rendered(view(estimate(link("leg", LEG, STD))), 80)[-1] == "no warning"
 
+    def test_before_any_verdict_there_is_no_warning_yet(self) -> None:
+        early = read_status({"estimate": status("", message=TOO_EARLY_TO_FIT)})
+        lines = rendered(view(estimate(link("leg", LEG, STD)), status=early), 120)
+        assert lines[-1] == f"no warning yet: {TOO_EARLY_TO_FIT}"
+
 
 class TestLog:
     def test_a_line_is_printed_for_each_change_only(self) -> None:
@@ -217,6 +223,12 @@ class TestLog:
         assert first.endswith("no warning")
         assert warned.endswith("warning: no message for over 2 s")
         assert last.startswith("data to 4.0 s")
+
+    def test_topics_with_a_fault_are_not_ready(self) -> None:
+        values = {"joints__rate": "0", "joints__pauses": "1", "joints__dropped": "20"}
+        warned = read_status({"streams": status("", DiagnosticStatus.WARN, "dropped", **values)})
+        shown = rendered(MonitorView("/identifier", None, {}, warned, 0.0, {}), 200)
+        assert shown[0] == ("waiting for /identifier/estimate; joints 0 Hz (1 pause) (20 dropped)")
 
     def test_a_disabled_identifier_is_named(self) -> None:
         disabled = read_status({"estimate": status("", message=DISABLED, age="1.0")})

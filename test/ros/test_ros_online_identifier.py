@@ -153,6 +153,7 @@ def test_a_late_wrench_topic_restarts_identification(graph, simulated) -> None:
             and "measured wrenches differ" in probe.statuses["estimate"].message
         )
     )
+    assert "no wrench sensor is in use" in probe.statuses["streams"].message
     without.kill()
     assert not probe.estimates
     graph.start("player", topics=SENSORS, **player)

@@ -20,6 +20,7 @@ from symbid_ros.estimation.archive import load_archive
 from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros.identifier_parameters import PARAMETERS
+from symbid_ros.ros.monitor_messages import TOO_EARLY_TO_FIT
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.parameters import declare
 from symbid_ros.ros.reporting import OK, WARN, NodeStatus
@@ -65,10 +66,43 @@ def test_data_are_saved_though_the_node_ends_before_its_first_estimate(
 ) -> None:
     fed.run(stopped())
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
-    rows = json.loads((tmp_path / "out" / "estimate.json").read_text())["rows"]
+    saved = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    rows = saved["rows"]
     assert (rows["filter"], rows["window_s"] > 0) == ("weak", True)
     summary = json.loads(capsys.readouterr().out)
     assert (summary["solves"], "written to" in summary["saved"]) == (1, True)
+    assert summary["alarms"] == saved["verdict"]["alarms"]
+
+
+def test_the_end_repeats_the_warnings_about_what_it_saves(fed: OnlineIdentifier, capsys) -> None:
+    assert fed._solve() is not None
+    fed._solve_time = 10.0  # s; an exact estimate would take longer
+    fed.run(stopped())
+    late, *_, early = json.loads(capsys.readouterr().out)["warnings"]
+    assert "saving the newest estimate, which lacks the latest data" in late
+    assert early == TOO_EARLY_TO_FIT  # there is no verdict
+
+
+def test_a_longer_save_time_allows_an_estimate_from_all_data(fed: OnlineIdentifier, capsys) -> None:
+    assert fed._solve() is not None
+    fed._solve_time, fed._save_time = 10.0, 60.0
+    fed.run(stopped())
+    summary = json.loads(capsys.readouterr().out)
+    assert not any("newest estimate" in one for one in summary["warnings"])
+    assert (summary["alarms"], summary["warnings"][-1]) == ([], TOO_EARLY_TO_FIT)
+
+
+def test_a_save_answers_with_the_alarms_of_the_result(
+    fed: OnlineIdentifier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(OnlineIdentifier, "_alarms_of", lambda *_: ("the data contradict it",))
+    assert fed._save().endswith("; alarm: the data contradict it")
+
+
+def test_a_reset_says_that_the_end_replaces_what_was_saved(fed: OnlineIdentifier) -> None:
+    assert "replaces" not in fed._reset()
+    fed._has_saved = True
+    assert f"replaces the result in {fed._out}" in fed._reset()
 
 
 def test_the_ending_states_why_data_gave_no_estimate(
@@ -94,6 +128,9 @@ def test_alarms_wait_until_joint_terms_can_be_chosen(
         (status,) = (one for one in fed._diagnostics.statuses() if one.part == "estimate")
         return status
 
+    fed._diagnostics.set_estimate(fed._live, replace(outcome, alarms=()), None, 0.1)
+    (quiet,) = (one for one in fed._diagnostics.statuses() if one.part == "estimate")
+    assert (quiet.level, quiet.message) == (OK, TOO_EARLY_TO_FIT)
     early = status()
     assert early.message.startswith("too early to tell whether the model")
     assert early.level == WARN  # no controller may use it

@@ -119,6 +119,12 @@ def test_malformed_ros_arguments_end_without_traceback(arguments: tuple[str, ...
     assert "Traceback" not in ended.stderr
 
 
+def test_a_list_entry_with_a_colon_needs_quotes() -> None:
+    ended = run("identifier", "--ros-args", "-p", "contact:=[left_sole:point]")
+    assert ended.returncode == 2
+    assert "; quote list entries with colons, and check --ros-args" in ended.stderr
+
+
 # The monitor has no parameter file.
 @pytest.mark.parametrize("name", [name for name in NODES if name != "monitor"])
 def test_shipped_parameter_file_names_only_real_parameters(name: str) -> None:

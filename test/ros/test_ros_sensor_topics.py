@@ -150,7 +150,7 @@ def test_prefixed_frames_are_accepted_with_frame_prefix(publishers: Publishers, 
     while "/imu/data" not in lost.missing():
         publishers.publish_again()
         assert lost.find() is None
-    assert "frame_prefix:=robot1/" in lost.missing()["/imu/data"]
+    assert "`frame_prefix` robot1/" in lost.missing()["/imu/data"]
     found = sensors(publishers, model, selection=TopicSelection(mapping=SensorMapping("robot1/")))
     while (selected := found.find()) is None or len(selected.all) < len(OWN):
         publishers.publish_again()

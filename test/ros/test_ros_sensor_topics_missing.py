@@ -19,7 +19,10 @@ from sensor_msgs.msg import JointState
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.messages.types import IMU, JOINT_STATE
+from symbid_ros.model.load import load_model
 from symbid_ros.online.live_streams import LiveStreams
+from symbid_ros.online.message_check import MessageCheck
+from symbid_ros.package_paths import config_file
 from symbid_ros.ros.identifier_diagnostics import StreamMonitor
 from symbid_ros.ros.identifier_parameters import PARAMETERS
 from symbid_ros.ros.online_identifier import OnlineIdentifier
@@ -178,11 +181,15 @@ def test_messages_about_missing_topics_name_the_parameter(selection, found, floa
 def test_stamps_of_another_clock_differ_from_leftovers_of_a_jump() -> None:
     joints, imu = Topic("/joint_states", JOINT_STATE), Topic("/imu", IMU)
     streams, faults = LiveStreams(SelectedTopics((joints,), (imu,), ()), "live"), StreamMonitor()
+    checks = {
+        topic: MessageCheck(topic, load_model(config_file("symbitron.xml")))
+        for topic in (joints, imu)
+    }
 
     def faults_after(joint_stamp: float, imu_stamp: float) -> dict[str, str]:
         for topic, stamp in ((joints, joint_stamp), (imu, imu_stamp)):
             streams.add(topic, round(stamp * 1e9), b"")
-        return faults.check(streams)
+        return faults.check(streams, checks)
 
     assert faults_after(100.0, 5.0) == {}  # one stale check may be left from before a jump
     (fault,) = faults_after(100.1, 5.1).values()
@@ -193,5 +200,28 @@ def test_stamps_of_another_clock_differ_from_leftovers_of_a_jump() -> None:
     assert set(faults_after(100.3, 100.2)) == {"/imu"}  # the stamp does not advance
     assert "header.stamp is zero" in faults_after(100.4, 0.0)["/imu"]
     # A topic that falls silent keeps this fault, and loses it with valid stamps.
-    assert "header.stamp is zero in 1 messages" in faults.check(streams)["/imu"]
+    assert "header.stamp is zero in 1 messages" in faults.check(streams, checks)["/imu"]
     assert faults_after(100.5, 100.5) == {}
+
+
+def test_the_reason_why_all_messages_are_dropped_lasts_in_silence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    joints = Topic("/joint_states", JOINT_STATE)
+    streams, faults = LiveStreams(SelectedTopics((joints,), (), ()), "live"), StreamMonitor()
+    check = MessageCheck(joints, load_model(config_file("symbitron.xml")))
+
+    def found() -> dict[str, str]:
+        return faults.check(streams, {joints: check})
+
+    streams.add(joints, 10**9, b"")
+    assert found() == {}
+    for _ in range(3):
+        check.take(b"no message")
+    monkeypatch.setattr("symbid_ros.ros.identifier_diagnostics.SILENCE", -1.0)
+    for _ in range(2):
+        (fault,) = found().values()
+        assert fault.startswith("/joint_states: none of 3 messages is used: ")
+    streams.add(joints, 2 * 10**9, b"")
+    assert found() == {}
+    assert "no message for over" in found()["/joint_states"]
