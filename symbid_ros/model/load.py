@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.choices import Base
-from symbid_ros.errors import ModelError
+from symbid_ros.choices import BASES, Base
+from symbid_ros.errors import ModelError, OptionError
 from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.mjcf_source import read_mjcf
 from symbid_ros.model.tree import RobotModel
@@ -33,7 +33,11 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
     ------
     ModelError
         When the file is not a valid URDF or MJCF, or an MJCF contradicts ``base``.
+    OptionError
+        When ``base`` is none of these.
     """
+    if base not in BASES:
+        raise OptionError(f"base is {base!r}; choose from {', '.join(BASES)}", "E501")
     path = Path(path)
     if not is_mjcf(path):
         model = load_urdf(path, base)
@@ -43,6 +47,18 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
         _report_ignored(path)
     _report_massless(model, is_base_known=base != "auto")
     return model
+
+
+def as_model(robot: RobotModel | str | Path) -> RobotModel:
+    """Return a robot, which may be given by the path of its file."""
+    if isinstance(robot, RobotModel):
+        return robot
+    if isinstance(robot, str | Path):
+        return load_model(robot)
+    raise TypeError(
+        "robot must be a RobotModel (see symbid_ros.load_model) or the path of its file, not "
+        f"{type(robot).__name__}"
+    )
 
 
 def _require_base(model: RobotModel, path: Path, base: Base) -> None:

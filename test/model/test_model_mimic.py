@@ -8,9 +8,11 @@ import pytest
 from random_robots import random_samples
 
 from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, known_force
 from symbid_ros.errors import ModelError
+from symbid_ros.identification.api import regressor
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
@@ -69,6 +71,17 @@ def test_a_chain_of_mimic_joints_is_bound_to_its_leader(gripper):
     assert bound.offset == pytest.approx(0.5 - 2 * 0.1)
     assert gripper.measured_joint_names == ("master",)
     samples = following(gripper, 5)
+    motion = [samples.position, samples.velocity, samples.acceleration]
+    others = [one.copy() for one in motion]
+    for one in others:
+        one[:, [far, near]] = 7.0
+    base = BaseMotion(
+        samples.base_angular_velocity,
+        samples.base_angular_acceleration,
+        samples.base_specific_force,
+    )
+    expected, found = (regressor(gripper, *one, base=base) for one in (motion, others))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
     np.testing.assert_allclose(gripper.apply_mimics(samples.position), samples.position, atol=1e-15)
     rates = gripper.apply_mimics(samples.velocity, rates=True)
     np.testing.assert_allclose(rates, samples.velocity, atol=1e-15)
