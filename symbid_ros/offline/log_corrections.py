@@ -14,7 +14,7 @@ from symbid_ros.arrays import concatenated
 from symbid_ros.bags import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
-from symbid_ros.diagnosis.forces import GAINS, MILLI, common_unit
+from symbid_ros.diagnosis.forces import GAINS, MILLI, common_unit, may_be_in_milli
 from symbid_ros.diagnosis.joint_checks import DEGREES
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
@@ -222,7 +222,10 @@ class LogCorrections:
             self._scale(scaled | dict.fromkeys(unknown, usual), unit)
         else:
             self._scale(scaled)
-            beyond = [name for name in unknown if f"{name}/times_limit" in _figures(found)]
+            times = _figures(found)
+            beyond = [
+                name for name in unknown if may_be_in_milli(times.get(f"{name}/times_limit", 0.0))
+            ]
             self._scale(dict.fromkeys(beyond, MILLI), MILLI)
         if "effort_scale" not in self.setup.options:
             self._reverse_efforts(found)
