@@ -1,6 +1,8 @@
 """Load a robot model from a URDF or an MJCF."""
 
 import logging
+import xml.etree.ElementTree as ET
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +79,7 @@ def _require_base(model: RobotModel, path: Path, base: Base) -> None:
 
 
 def _report_ignored(path: Path) -> None:
+    """Log what MuJoCo simulates and the equation of motion lacks."""
     root = read_mjcf(path)
     found = {tag: root.findall(f"{tag}/*") for tag in ("equality", "tendon")}
     names = [each.get("name", f"<{each.tag}>") for group in found.values() for each in group]
@@ -88,6 +91,35 @@ def _report_ignored(path: Path) -> None:
             tags,
             ", ".join(names),
         )
+    bodies = [one for one in root.iter("body") if _is_above_zero(one, "gravcomp")]
+    if bodies:
+        logger.warning(
+            "%s: gravcomp is ignored: %s; the motors are assumed to carry these bodies",
+            path,
+            ", ".join(each.get("name", "a body without a name") for each in bodies),
+        )
+    options = root.findall("option")
+    media = [
+        key for key in ("density", "viscosity") if any(_is_above_zero(one, key) for one in options)
+    ]
+    if media:
+        logger.warning(
+            "%s: %s of <option> is ignored; the robot is assumed to move in a vacuum",
+            path,
+            " and ".join(media),
+        )
+    if any(flag.get("gravity") == "disable" for flag in root.findall("option/flag")):
+        logger.warning(
+            '%s: <flag gravity="disable"/> is ignored: gravity is assumed to act on the robot; '
+            'write <option gravity="0 0 0"/> if none does',
+            path,
+        )
+
+
+def _is_above_zero(element: ET.Element, key: str) -> bool:
+    with suppress(ValueError):  # MuJoCo reports it where it reads the attribute
+        return float(element.get(key, "0")) > 0
+    return False
 
 
 def _report_massless(model: RobotModel, *, is_base_known: bool) -> None:

@@ -1,5 +1,6 @@
 """Mimic joints follow their leaders; ignored elements of an MJCF are reported."""
 
+import re
 from dataclasses import replace
 
 import mujoco
@@ -183,6 +184,26 @@ def test_a_mimic_without_a_leader_is_rejected(mimic, message, tmp_path):
         load_model(tmp_path / "robot.urdf")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name="left"', 'name="left" gravcomp="0.5"', "gravcomp is ignored: left; the motors"),
+        ("<option/>", '<option density="1000"/>', "density of <option> is ignored"),
+        ("<option/>", '<option density="1" viscosity="1"/>', "density and viscosity of <option>"),
+        ("<option/>", '<option><flag gravity="disable"/></option>', "flag gravity=.* is ignored"),
+        ("<option/>", '<option density="0" viscosity="0"/>', ""),
+        ('name="left"', 'name="left" gravcomp="0"', ""),
+    ],
+)
+def test_forces_that_the_equation_of_motion_lacks_are_named(old, new, message, tmp_path, caplog):
+    text = """<mujoco><option/><worldbody>
+      <body name="left"><joint name="l"/><geom size=".1"/></body></worldbody></mujoco>"""
+    (tmp_path / "robot.xml").write_text(text.replace(old, new))
+    load_model(tmp_path / "robot.xml")
+    assert len(caplog.records) == bool(message)
+    assert re.search(message, caplog.text)
+
+
 def test_equalities_tendons_and_massless_links_are_reported(tmp_path, caplog):
     text = """<mujoco><worldbody><body name="base"><freejoint/>
       <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
@@ -193,6 +214,7 @@ def test_equalities_tendons_and_massless_links_are_reported(tmp_path, caplog):
     (tmp_path / "robot.xml").write_text(text)
     load_model(tmp_path / "robot.xml")
     assert "robot.xml: <equality> and <tendon> are ignored: same, cord" in caplog.text
+    assert len(caplog.records) == 1
     caplog.clear()
     (tmp_path / "robot.urdf").write_text(GRIPPER.replace(INERTIAL, "", 3))
     load_model(tmp_path / "robot.urdf", "fixed")
