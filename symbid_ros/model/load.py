@@ -9,11 +9,16 @@ import numpy as np
 
 from symbid_ros.choices import BASES, Base
 from symbid_ros.errors import ModelError, OptionError
+from symbid_ros.model.inertia import ellipsoid_density
 from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.mjcf_source import read_mjcf
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.urdf import load_urdf
 from symbid_ros.model.xml_file import as_element, read_xml
+
+# Ten times the density of the heaviest metals; links of robots that are all too dense by less have
+# inertias that are estimated badly.
+DENSEST = 2e5  # kg/m³
 
 logger = logging.getLogger(__name__)
 
@@ -48,6 +53,7 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
         _require_base(model, path, base)
         _report_ignored(path)
     _report_massless(model, is_base_known=base != "auto")
+    _report_density(model)
     return model
 
 
@@ -137,6 +143,19 @@ def _report_massless(model: RobotModel, *, is_base_known: bool) -> None:
             f"link {names[0]} moves but has"
             if len(names) == 1
             else f"links {', '.join(names)} move but have",
+        )
+
+
+def _report_density(model: RobotModel) -> None:
+    """Log that most links are denser than any body, as those whose masses are in grams."""
+    found = [ellipsoid_density(link.phi) for link in model.links if link.phi[0] > 0]
+    middle = float(np.median(found)) if found else 0.0
+    if DENSEST < middle < np.inf:
+        logger.warning(
+            "%s: half of its links are denser than %.2g kg/m³: masses may be in g, or inertias in "
+            "another unit; give kg and kg m²",
+            model.source,
+            middle,
         )
 
 
