@@ -173,6 +173,11 @@ def test_errors_of_a_prediction_are_those_of_the_report(robot, log, options) -> 
     assert np.all(np.diff(prediction.stamp) > 0)
 
 
+def test_a_pickled_result_predicts_as_before(log, result) -> None:
+    again = pickle.loads(pickle.dumps(result))
+    np.testing.assert_array_equal(again.predict(log).error, result.predict(log).error)
+
+
 def test_errors_of_a_prediction_are_those_of_the_rows_that_are_used() -> None:
     measured = np.array([[3.0, np.nan], [np.nan, np.nan], [3.0, np.nan]])
     found = sy.ForcePrediction(np.arange(3), ("a", "b"), measured, np.zeros((3, 2)))

@@ -35,6 +35,8 @@ MILLI = 1e-3
 # RMS efforts that are this many times the limits of their joints may be in mNm: more than drives
 # give beyond stated limits, and less than a thousand times what they can.
 TIMES_LIMIT = 10.0, 1 / MILLI
+# Noise of torques above this share of the usual effort is named.
+NOISY = 0.1
 # Several faults of one kind may have one cause. More faults than this of several kinds are
 # reported as one contradiction.
 MOST_FAULTS = 2
@@ -175,7 +177,7 @@ def check_forces(
     # Vanishing gains explain any log.
     vanishing = bool(found or rotations) and not EXPLAINED[0] <= common <= EXPLAINED[1]
     if several or vanishing:
-        found = [_contradiction([joints, *topics.values()])]
+        found = [_contradiction([joints, *topics.values()], _noise_remark(statistics))]
     left_out: tuple[str, ...] = ()
     if rotations and not is_anchored:
         left_out = (
@@ -473,7 +475,19 @@ def _similar_groups(reads: Mapping[str, float]) -> Iterator[list[str]]:
         yield names
 
 
-def _contradiction(topics: Sequence[str]) -> Finding:
+def _noise_remark(statistics: ModelStatistics) -> str:
+    """Return a remark about torques of the wrenches that are noisy beside the joints' efforts."""
+    torque, force = statistics.wrench_noise
+    usual = float(np.median(statistics.efforts or [np.inf]))
+    if torque < NOISY * usual:
+        return ""
+    return (
+        f"; white noise of the wrenches, {torque:.2g} Nm and {force:.2g} N, is large beside "
+        f"efforts of {usual:.2g} Nm (N); average the readings in the driver"
+    )
+
+
+def _contradiction(topics: Sequence[str], remark: str = "") -> Finding:
     """Return the finding that replaces several inconsistent ones."""
     return Finding(
         Kind.CONTRADICTION,
@@ -483,7 +497,7 @@ def _contradiction(topics: Sequence[str]) -> Finding:
         "fault of a single sensor explains it; check for efforts that are currents or in other "
         "units (`symbid init` finds their scales), exchanged topics, a contact without a sensor, "
         "a wrench in world axes, a joint's position with a wrong sign or zero, or another robot's "
-        "model",
+        f"model{remark}",
     )
 
 
