@@ -189,6 +189,9 @@ def test_a_robot_may_be_named_by_its_file(folder, robot, log) -> None:
     assert given.findings == sy.diagnose(robot, log).findings
     read = sy.load_bag(folder / "log", robot.source).streams()
     np.testing.assert_array_equal(read.joints.position, log.streams().joints.position)
+    readings = np.zeros((60, len(robot.measured_joint_names)))
+    arrays = {"time": np.arange(60) / 50, "position": readings, "effort": readings}
+    assert sy.Log.from_arrays(robot.source, **arrays).streams().joints.names == robot.joint_names
 
 
 @pytest.mark.parametrize("base", ["float", "FIXED", None])

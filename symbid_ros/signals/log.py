@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from symbid_ros.arrays import FloatArray, IntArray, distinct
 from symbid_ros.errors import DataError
 from symbid_ros.model.fixed_frames import FixedTransform, with_fixed_frames
+from symbid_ros.model.load import as_model
 from symbid_ros.model.tree import ON_LINK, RobotModel
 from symbid_ros.signals.alignment import resampling_margin
 from symbid_ros.signals.base_pose import PoseStream
@@ -133,7 +134,7 @@ class Log:
     @classmethod
     def from_arrays(
         cls,
-        robot: RobotModel,
+        robot: RobotModel | str | Path,
         *,
         time: ArrayLike,
         position: ArrayLike,
@@ -152,8 +153,8 @@ class Log:
 
         Parameters
         ----------
-        robot : RobotModel
-            Its joints and frames give the columns and the keys below.
+        robot : RobotModel, str or Path
+            A robot or its file, whose joints and frames give the columns and the keys below.
         time : (N,) array_like
             Instants: seconds if floating-point, nanoseconds if integer, or ``datetime64``.
         position, effort : (N, J) array_like
@@ -191,7 +192,7 @@ class Log:
         ModelError
             When the robot has no frame of that name.
         """
-        stamp = _stamps(time, name)
+        robot, stamp = as_model(robot), _stamps(time, name)
         tallies = [DefectCounts(name, "time")]
         tallies[0].count_messages(stamp)
         kept = kept_in_order(stamp, tallies[0])
