@@ -50,7 +50,7 @@ def main() -> None:
         file = Path(folder) / "arm.urdf"
         file.write_text(ARM)
         robot = sy.load_model(file, "fixed")
-        truth = robot.phi.ravel() * 1.2  # the real arm is heavier than its file says
+        truth = robot.inertial_parameters * 1.2  # the real arm is heavier than its file says
         result = sy.identify(robot, record(robot, truth, seed=1))
         print(result)
         prediction = result.predict(record(robot, truth, seed=2))

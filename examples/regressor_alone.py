@@ -17,7 +17,7 @@ def main(model: str) -> None:
     position, velocity, acceleration = rng.normal(size=(3, 500, len(robot.joints)))
 
     K = sy.regressor(robot, position, velocity, acceleration)  # (N, n, p)
-    torque = K @ robot.phi.ravel()
+    torque = K @ robot.inertial_parameters
 
     A, b = K.reshape(-1, K.shape[2]), torque.ravel()
     found, _, rank, _ = np.linalg.lstsq(A, b, rcond=None)

@@ -28,6 +28,7 @@ SensorErrorKind = Literal[
     "frame_pose",
 ]
 
+BASES: tuple[Base, ...] = get_args(Base)
 METHODS: tuple[Method, ...] = get_args(Method)
 # Methods that combine the data with a prior, and use pseudo-measurements.
 GAUSSIAN: tuple[Method, ...] = ("map_lmi", "map")

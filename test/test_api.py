@@ -1,5 +1,6 @@
 """The public API, as the README and a notebook use it."""
 
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -172,15 +173,37 @@ def test_errors_of_a_prediction_are_those_of_the_report(robot, log, options) -> 
     assert np.all(np.diff(prediction.stamp) > 0)
 
 
+def test_a_pickled_result_predicts_as_before(log, result) -> None:
+    again = pickle.loads(pickle.dumps(result))
+    np.testing.assert_array_equal(again.predict(log).error, result.predict(log).error)
+
+
 def test_errors_of_a_prediction_are_those_of_the_rows_that_are_used() -> None:
     measured = np.array([[3.0, np.nan], [np.nan, np.nan], [3.0, np.nan]])
     found = sy.ForcePrediction(np.arange(3), ("a", "b"), measured, np.zeros((3, 2)))
     assert found.rmse == {"a": 3.0}
 
 
-def test_a_robot_may_be_named_by_its_file(robot, log) -> None:
+def test_a_robot_may_be_named_by_its_file(folder, robot, log) -> None:
     given = sy.diagnose(robot.source, log)
     assert given.findings == sy.diagnose(robot, log).findings
+    read = sy.load_bag(folder / "log", robot.source).streams()
+    np.testing.assert_array_equal(read.joints.position, log.streams().joints.position)
+    readings = np.zeros((60, len(robot.measured_joint_names)))
+    arrays = {"time": np.arange(60) / 50, "position": readings, "effort": readings}
+    assert sy.Log.from_arrays(robot.source, **arrays).streams().joints.names == robot.joint_names
+
+
+@pytest.mark.parametrize("base", ["float", "FIXED", None])
+def test_a_base_is_one_of_three(robot, base) -> None:
+    with pytest.raises(sy.OptionError, match="choose from auto, floating, fixed"):
+        sy.load_model(robot.source, base)
+
+
+def test_objects_that_hold_arrays_are_equal_to_themselves_alone(robot, result) -> None:
+    for one in (robot, result, result.information):
+        assert one == one  # noqa: PLR0124
+        assert one != pickle.loads(pickle.dumps(one))
 
 
 @pytest.mark.parametrize("function", [sy.identify, sy.diagnose])
@@ -231,6 +254,9 @@ def test_merged_information_equals_that_of_both_logs(robot, folder, result) -> N
     assert np.all(together <= (1 + 1e-6) * alone)
     with pytest.raises(sy.EstimateError, match="counted twice"):
         sy.merge([result.information, result.information])
+    for wrong in ([result, result], result.information):
+        with pytest.raises(TypeError, match="list of LogInformation"):
+            sy.merge(wrong)
 
 
 def test_a_log_is_diagnosed_and_a_result_evaluated(robot, log, folder, result) -> None:
@@ -250,6 +276,30 @@ def test_the_regressor_is_linear_in_the_parameters(robot) -> None:
         sy.regressor(robot, q, v, a)
     with pytest.raises(sy.DataError, match="shapes"):
         sy.regressor(robot, q[:, 1:], v, a, base=base)
+    with pytest.raises(sy.DataError, match="shapes"):
+        sy.regressor(robot, 0.0, v, a, base=base)
+
+
+@pytest.mark.parametrize("shape", [(3,), (1, 3), (5, 3), (7, 3), (6, 2)])
+@pytest.mark.parametrize("field", ["angular_velocity", "angular_acceleration", "specific_force"])
+def test_the_motion_of_the_base_has_a_row_for_each_instant(robot, field, shape) -> None:
+    motion = np.zeros((3, 6, len(robot.joints)))
+    base = replace(sy.BaseMotion(*np.zeros((3, 6, 3))), **{field: np.zeros(shape)})
+    with pytest.raises(sy.DataError, match=rf"base.{field} has shape .*; expected \(6, 3\)"):
+        sy.regressor(robot, *motion, base=base)
+
+
+def test_the_parameters_of_a_body_with_several_joints_fit_its_regressor(tmp_path) -> None:
+    """Links between the joints have no columns."""
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="arm"><inertial pos=".1 0 0" mass="2" '
+        'diaginertia=".1 .2 .3"/><joint name="x" axis="1 0 0"/><joint name="y" axis="0 1 0"/>'
+        "</body></worldbody></mujoco>"
+    )
+    robot = sy.load_model(path)
+    weight = sy.regressor(path, *np.zeros((3, 1, 2)))[0] @ robot.inertial_parameters
+    np.testing.assert_allclose(weight, [0.0, -2 * 9.81 * 0.1], atol=1e-12)
 
 
 def test_a_fixed_bases_regressor_agrees_with_pinocchio(tmp_path) -> None:

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 
 import numpy as np
@@ -51,36 +51,44 @@ def bag_log(
 
 def _log_of(bags: Sequence[Path], topics: TopicSelection, part: TimeRange) -> Log:
     """Return the log in bags, which shares the set of its logged messages with the selection."""
-
-    def read(span: int | None, warn: bool) -> Iterator[Slice]:
-        return iterate_slices(bags, topics, span=span, part=part, warn=warn)
-
-    def other(bags: tuple[Path, ...]) -> Log:
-        count_messages(bags)
-        return bag_log(bags, topics=replace(topics, mapping=topics.mapping.of_any_log()))
-
-    def of_robot(robot: RobotModel) -> Log:
-        return _log_of(bags, topics.of_model(robot), part)
-
-    def frames() -> tuple[FixedTransform, ...]:
-        mapping = topics.mapping
-        try:
-            transforms = read_static_transforms(bags)
-        except BagError:
-            # Options are checked before bags; reading the messages raises this error again.
-            return ()
-        return tuple(
-            replace(one, parent=mapping.frame(one.parent), child=mapping.frame(one.child))
-            for one in transforms
-        )
-
     return Log(
         join_names(bags),
         tuple(bags),
-        _read=read,
-        _open=other,
-        _frames=frames,
-        _of_robot=None if topics.joint_names else of_robot,
+        _read=partial(_slices, bags, topics, part),
+        _open=partial(_other_log, topics),
+        _frames=partial(_frames, bags, topics),
+        _of_robot=None if topics.joint_names else partial(_of_robot, bags, topics, part),
+    )
+
+
+# A log holds these functions with their first arguments. Local ones could not be pickled.
+def _slices(
+    bags: Sequence[Path], topics: TopicSelection, part: TimeRange, span: int | None, warn: bool
+) -> Iterator[Slice]:
+    return iterate_slices(bags, topics, span=span, part=part, warn=warn)
+
+
+def _other_log(topics: TopicSelection, bags: tuple[Path, ...]) -> Log:
+    count_messages(bags)
+    return bag_log(bags, topics=replace(topics, mapping=topics.mapping.of_any_log()))
+
+
+def _of_robot(
+    bags: Sequence[Path], topics: TopicSelection, part: TimeRange, robot: RobotModel
+) -> Log:
+    return _log_of(bags, topics.of_model(robot), part)
+
+
+def _frames(bags: Sequence[Path], topics: TopicSelection) -> tuple[FixedTransform, ...]:
+    mapping = topics.mapping
+    try:
+        transforms = read_static_transforms(bags)
+    except BagError:
+        # Options are checked before bags; reading the messages raises this error again.
+        return ()
+    return tuple(
+        replace(one, parent=mapping.frame(one.parent), child=mapping.frame(one.child))
+        for one in transforms
     )
 
 

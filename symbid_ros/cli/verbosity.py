@@ -67,14 +67,28 @@ def with_verbosity(function: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def logged_level(verbosity: int) -> Iterator[None]:
-    """Let the package log errors (-1), warnings (0), steps (1) or everything (2)."""
+    """Let the package log errors (-1), warnings (0), steps (1) or everything (2).
+
+    A command may load a model several times; each warning about it is logged once.
+    """
     levels = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
     package = logging.getLogger(PACKAGE)
     before = package.level
     package.setLevel(levels.get(verbosity, logging.DEBUG))
+    models = logging.getLogger(f"{PACKAGE}.model.load")
+    logged: set[str] = set()
+
+    def is_new(record: logging.LogRecord) -> bool:
+        message = record.getMessage()
+        is_first = message not in logged
+        logged.add(message)
+        return is_first
+
+    models.addFilter(is_new)
     try:
         yield
     finally:
+        models.removeFilter(is_new)
         package.setLevel(before)
 
 

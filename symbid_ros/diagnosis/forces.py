@@ -32,6 +32,11 @@ SMALLEST = 1e-4
 # Factors of the efforts of so many joints that differ from one power of ten by less are its unit.
 SAME_UNIT, FEWEST_OF_A_UNIT = 1.1, 3
 MILLI = 1e-3
+# RMS efforts that are this many times the limits of their joints may be in mNm: more than drives
+# give beyond stated limits, and less than a thousand times what they can.
+TIMES_LIMIT = 10.0, 1 / MILLI
+# Noise of torques above this share of the usual effort is named.
+NOISY = 0.1
 # Several faults of one kind may have one cause. More faults than this of several kinds are
 # reported as one contradiction.
 MOST_FAULTS = 2
@@ -172,7 +177,7 @@ def check_forces(
     # Vanishing gains explain any log.
     vanishing = bool(found or rotations) and not EXPLAINED[0] <= common <= EXPLAINED[1]
     if several or vanishing:
-        found = [_contradiction([joints, *topics.values()])]
+        found = [_contradiction([joints, *topics.values()], _noise_remark(statistics))]
     left_out: tuple[str, ...] = ()
     if rotations and not is_anchored:
         left_out = (
@@ -190,6 +195,11 @@ def common_unit(factors: Collection[float]) -> float | None:
     power = float(np.rint(np.median(powers))) if len(powers) else 0.0
     is_unit = power and min(factors) > 0 and np.all(np.abs(powers - power) < np.log10(SAME_UNIT))
     return 10.0**power if is_unit and len(powers) >= FEWEST_OF_A_UNIT else None
+
+
+def may_be_in_milli(times_limit: float) -> bool:
+    """Return whether efforts may be in mNm whose RMS is this many times the limit."""
+    return TIMES_LIMIT[0] < times_limit < TIMES_LIMIT[1]
 
 
 def _is_known(gain: float, std: float) -> bool:
@@ -425,8 +435,9 @@ def _limit_finding(
         f"{name} {effort:.3g} of {limit:g}" for name, (effort, limit) in excess.items()
     )
     action = "check their unit"
-    if max(ratios.values()) * MILLI < 1:
-        action += f", and for mNm write {conversions.effort_line(dict.fromkeys(excess, MILLI))}"
+    if may_be_milli := [name for name, one in ratios.items() if may_be_in_milli(one)]:
+        line = conversions.effort_line(dict.fromkeys(may_be_milli, MILLI))
+        action += f", and for mNm write {line}"
     return Finding(
         Kind.TORQUE_GAIN,
         topic,
@@ -464,7 +475,19 @@ def _similar_groups(reads: Mapping[str, float]) -> Iterator[list[str]]:
         yield names
 
 
-def _contradiction(topics: Sequence[str]) -> Finding:
+def _noise_remark(statistics: ModelStatistics) -> str:
+    """Return a remark about torques of the wrenches that are noisy beside the joints' efforts."""
+    torque, force = statistics.wrench_noise
+    usual = float(np.median(statistics.efforts or [np.inf]))
+    if torque < NOISY * usual:
+        return ""
+    return (
+        f"; white noise of the wrenches, {torque:.2g} Nm and {force:.2g} N, is large beside "
+        f"efforts of {usual:.2g} Nm (N); average the readings in the driver"
+    )
+
+
+def _contradiction(topics: Sequence[str], remark: str = "") -> Finding:
     """Return the finding that replaces several inconsistent ones."""
     return Finding(
         Kind.CONTRADICTION,
@@ -474,7 +497,7 @@ def _contradiction(topics: Sequence[str]) -> Finding:
         "fault of a single sensor explains it; check for efforts that are currents or in other "
         "units (`symbid init` finds their scales), exchanged topics, a contact without a sensor, "
         "a wrench in world axes, a joint's position with a wrong sign or zero, or another robot's "
-        "model",
+        f"model{remark}",
     )
 
 

@@ -21,6 +21,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.decimation import Decimator
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment, cut_to
+from symbid_ros.signals.sensor_noise import noise_deviation
 from symbid_ros.signals.sensor_samples import probed
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
@@ -108,6 +109,7 @@ class ModelStatistics:
         self._samples = self._blocks = 0
         self._force_square = np.zeros(len(wrench_frames))
         self._force_sum = np.zeros((len(wrench_frames), 3))
+        self._noise_square = np.zeros((len(wrench_frames), 6))
 
     def add(self, segment: Segment) -> None:
         """Add a segment; segments must be cut at multiples of a block."""
@@ -122,6 +124,8 @@ class ModelStatistics:
         self._samples += len(segment)
         self._force_square += np.sum(force**2, axis=(0, 2))
         self._force_sum += force.sum(axis=0)
+        noise = noise_deviation(segment.wrenches.reshape(len(segment), -1), segment.rate)
+        self._noise_square += len(segment) * noise.reshape(-1, 6) ** 2
         segment = _downsample(segment)
         length = block_length(segment.rate)
         windows = suitable_windows(WINDOWS, segment.rate)[:1]
@@ -177,15 +181,29 @@ class ModelStatistics:
     @property
     def beyond_limits(self) -> dict[str, tuple[float, float]]:
         """RMS effort of each joint that exceeds the model's limit, and that limit, Nm or N."""
+        joints = [self.model.joints[place] for place in self.gains.driven]
+        return {
+            joint.name: (effort, joint.effort)
+            for joint, effort in zip(joints, self.efforts, strict=True)
+            if effort > joint.effort
+        }
+
+    @property
+    def efforts(self) -> list[float]:
+        """RMS efforts of the driven joints, Nm or N."""
         first = self.model.dof - len(self.model.joints)
-        found = {}
-        for index, place in enumerate(self.gains.driven):
-            column = len(self.parameters.values) + self.gains.efforts.start + index
-            effort = float(np.sqrt(self.rows.column_squares(first + place, column)))
-            joint = self.model.joints[place]
-            if effort > joint.effort:
-                found[joint.name] = effort, joint.effort
-        return found
+        start = len(self.parameters.values) + self.gains.efforts.start
+        return [
+            float(np.sqrt(self.rows.column_squares(first + place, start + index)))
+            for index, place in enumerate(self.gains.driven)
+        ]
+
+    @property
+    def wrench_noise(self) -> tuple[float, float]:
+        """White noise of the noisiest wrench sensor: of its torque, Nm, and of its force, N."""
+        noise = np.sqrt(self._noise_square / max(self._samples, 1))
+        torque, force = (float(part.max(initial=0.0)) for part in (noise[:, :3], noise[:, 3:]))
+        return torque, force
 
     @property
     def mean_row(self) -> FloatArray:

@@ -28,9 +28,10 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.position_units import find_degrees
 from symbid_ros.identification.result import LogInformation, Result
 from symbid_ros.identification.robot_options import RobotOptions
-from symbid_ros.model.load import load_model
+from symbid_ros.model.load import as_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.given_arrays import number_array
 from symbid_ros.signals.log import Log
 
 T = TypeVar("T", bound=RobotOptions)
@@ -64,7 +65,7 @@ def identify(
     if options is not None and fields:
         raise OptionError("give either options or single fields, not both", "E502")
     options = options or _options(IdentifyOptions, fields)
-    robot = _loaded(robot)
+    robot = as_model(robot)
     _require_log(log, (Log, LogInformation))
     if isinstance(log, LogInformation):
         problem = load_information(robot, log.observations, options)
@@ -98,7 +99,7 @@ def diagnose(
         These options by name instead, such as ``wrist_sensor=("tool0",)``.
     """
     options = options or _options(RobotOptions, fields)
-    robot = None if robot is None else _loaded(robot)
+    robot = None if robot is None else as_model(robot)
     _require_log(log, (Log,))
     if robot is None:
         return doctor.diagnose(log)
@@ -138,13 +139,17 @@ def merge(records: Sequence[LogInformation]) -> LogInformation:
     EstimateError
         When the records differ in robot, parameters or windows, or share seconds of a log.
     """
+    if isinstance(records, LogInformation) or any(
+        not isinstance(one, LogInformation) for one in records
+    ):
+        raise TypeError("merge takes a list of LogInformation, as Result.information is")
     if not records:
         raise DataError("merge: no records; give the information of at least one log", "E510")
     return reduce(LogInformation.merged, records)
 
 
 def regressor(
-    robot: RobotModel,
+    robot: RobotModel | str | Path,
     position: ArrayLike,
     velocity: ArrayLike,
     acceleration: ArrayLike,
@@ -156,9 +161,12 @@ def regressor(
 
     Parameters
     ----------
-    robot : RobotModel
+    robot : RobotModel, str or Path
+        A robot or its file.
     position, velocity, acceleration : (N, J) array_like
-        Joint motion in the order of ``robot.joint_names``, rad or m.
+        Joint motion in the order of ``robot.joint_names``, rad or m; a pandas table with these
+        columns may have them in any order. Mimic joints follow their leaders whatever their
+        columns say.
     base : BaseMotion, optional
         Motion of the base in its own axes; required if the base floats.
     options : IdentifyOptions, optional
@@ -167,16 +175,20 @@ def regressor(
     Returns
     -------
     (N, n, p) float64
-        n coordinates: moment and force on a floating base, then the joints; p parameters.
+        n coordinates: moment and force on a floating base, then the joints; p parameters, those of
+        ``robot.inertial_parameters`` first. The row of a leader includes the forces of its mimic
+        joints, whose rows are zero.
 
     Raises
     ------
     DataError
         When an array has the wrong shape, or the motion of a floating base is missing.
     """
+    robot = as_model(robot)
     joints = len(robot.joints)
-    motion = [np.asarray(one, dtype=np.float64) for one in (position, velocity, acceleration)]
-    count = len(motion[0])
+    given = {"position": position, "velocity": velocity, "acceleration": acceleration}
+    motion = [number_array(what, one, robot.joint_names) for what, one in given.items()]
+    count = motion[0].shape[0] if motion[0].ndim else 0
     if any(one.shape != (count, joints) for one in motion):
         shapes = ", ".join(str(one.shape) for one in motion)
         raise DataError(
@@ -191,31 +203,28 @@ def regressor(
             )
         rest = np.zeros((count, 3))
         base = BaseMotion(rest, rest, rest - robot.gravity)
+    moved = {what: number_array(f"base.{what}", one) for what, one in vars(base).items()}
+    for what, one in moved.items():
+        if one.shape != (count, 3):
+            raise DataError(
+                f"base.{what} has shape {one.shape}; expected {(count, 3)}, one row for each of "
+                "the joint positions",
+                "E511",
+            )
     samples = Samples(
         stamp=np.arange(count),
-        position=motion[0],
-        velocity=motion[1],
-        acceleration=motion[2],
+        position=robot.apply_mimics(motion[0]),
+        velocity=robot.apply_mimics(motion[1], rates=True),
+        acceleration=robot.apply_mimics(motion[2], rates=True),
         effort=np.zeros((count, joints)),
-        base_angular_velocity=np.asarray(base.angular_velocity, dtype=np.float64),
-        base_angular_acceleration=np.asarray(base.angular_acceleration, dtype=np.float64),
-        base_specific_force=np.asarray(base.specific_force, dtype=np.float64),
+        base_angular_velocity=moved["angular_velocity"],
+        base_angular_acceleration=moved["angular_acceleration"],
+        base_specific_force=moved["specific_force"],
         wrenches=np.zeros((count, 0, 6)),
         wrench_frames=(),
     )
     terms = () if options is None or options.chooses_terms else options.terms
     return equation_of_motion(ParameterSet(robot, terms), samples).K
-
-
-def _loaded(robot: RobotModel | str | Path) -> RobotModel:
-    if isinstance(robot, RobotModel):
-        return robot
-    if isinstance(robot, str | Path):
-        return load_model(robot)
-    raise TypeError(
-        "robot must be a RobotModel (see symbid_ros.load_model) or the path of its file, not "
-        f"{type(robot).__name__}"
-    )
 
 
 def _require_log(log: object, kinds: tuple[type, ...]) -> None:

@@ -40,6 +40,7 @@ TILTED_AXIS = 5 * DEVIATIONS[AXIS][0]
 # Efforts of which more is left are wrong in other ways.
 MOST_LEFT = 0.2
 STEPS, LONGEST_STEP, SMALLEST_STEP = 10, 0.3, 1e-4  # rad
+DECIMALS = 6  # of a direction in an option
 KEPT = 2  # directions that are refined
 DIRECTIONS = np.array([one for one in product((-1.0, 0.0, 1.0), repeat=3) if any(one)])
 
@@ -70,13 +71,17 @@ class FoundGravity:
 
     @property
     def value(self) -> str:
-        """The direction as a value of the option `gravity`."""
-        return " ".join(f"{one:.3f}" for one in self.direction)
+        """The direction as a value of the option `gravity`.
+
+        Rounding errors are far below what a long log tells; coarser ones would bias the parameters.
+        """
+        return " ".join(f"{one:.{DECIMALS}f}" for one in self.direction)
 
     def message(self, source: str) -> str:
         """Return one line that compares this direction with that of the model file ``source``."""
+        along = ", ".join(f"{one:.3f}" for one in self.direction)
         return (
-            f"the efforts say that gravity points along ({', '.join(self.value.split())}) in the "
+            f"the efforts say that gravity points along ({along}) in the "
             f"base's axes, which leaves {100 * self.after:.2g} % of them unexplained; that of "
             f"{source} leaves {100 * self.before:.2g} %"
         )
@@ -84,7 +89,7 @@ class FoundGravity:
     def finding(self, source: str) -> Finding:
         """Return the doctor's finding about the model file ``source``."""
         figures = {f"gravity_{axis}": one for axis, one in zip("xyz", self.direction, strict=True)}
-        line = robot_file_line("gravity", *(round(one, 3) for one in self.direction))
+        line = robot_file_line("gravity", *map(float, self.value.split()))
         message = f"{self.message(source)}; give `gravity` {self.value}, or write {line}"
         return Finding(Kind.BASE_MOUNTING, "", Severity.WARNING, message, figures)
 

@@ -40,12 +40,15 @@ class JointReadings:
         Whose readings in the log are those of each joint.
     position, effort : (J,) float64
         Signs of the readings.
+    unexplained : float
+        Share of the efforts (RMS) that a fit leaves.
     """
 
     names: tuple[str, ...]
     order: IntArray
     position: FloatArray
     effort: FloatArray
+    unexplained: float = 1.0
 
     @classmethod
     def unchanged(cls, names: tuple[str, ...]) -> "JointReadings":
@@ -179,7 +182,8 @@ def find_readings(segments: Sequence[Segment], robot: RobotModel) -> JointReadin
     least = HALVED * count * readings.changed / len(moving)
     if first.cost - best.cost <= least or best.unexplained >= MOST_LEFT:
         return None
-    readings = replace(readings, effort=np.where(readings.position < 0, readings.effort, 1.0))
+    effort = np.where(readings.position < 0, readings.effort, 1.0)
+    readings = replace(readings, effort=effort, unexplained=best.unexplained)
     return readings if readings.changed else None
 
 

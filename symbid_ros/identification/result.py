@@ -91,7 +91,7 @@ class LinkEstimate:
         return f"<{self.name}: {self.mass:.4g} kg, centre of mass ({com}) mm{note}>"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ForcePrediction:
     """Measured and predicted generalised forces of a log.
 
@@ -136,7 +136,7 @@ class ForcePrediction:
         return f"<ForcePrediction at {len(self.stamp)} instants; RMSE {errors}>"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LogInformation:
     """Information about a robot from one or more logs; it can be saved, merged and solved again.
 
@@ -179,7 +179,7 @@ class LogInformation:
         return f"<LogInformation of {self.seconds} s on {count} parameters, windows {windows} ms>"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Result:
     """An identified robot.
 

@@ -14,12 +14,10 @@ from symbid_ros.model.bodies import ROUNDING, updated_bodies
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.rotation import rpy_from_rotation
 from symbid_ros.model.tree import Joint, RobotModel
-from symbid_ros.model.urdf import UrdfReader
+from symbid_ros.model.urdf import UNLIMITED, UrdfReader
 from symbid_ros.model.wrist_sensors import without_wrist_sensors
 from symbid_ros.model.xml_file import XmlEditor, as_element, is_editable, read_xml
 
-# urdfdom requires numbers for effort and velocity and does not read "inf".
-_UNLIMITED = 1e9
 # SI units; a solver returns friction and armature this small instead of zero.
 NEGLIGIBLE = 1e-9
 # Names of joint terms for users, and the fields of Joint.
@@ -214,10 +212,10 @@ def _joint(robot: ET.Element, model: RobotModel, joint: Joint, child: str) -> No
     ET.SubElement(element, "axis", xyz=numbers(joint.axis))
     limit = ET.SubElement(element, "limit")
     if kind != "continuous":
-        limit.set("lower", repr(float(joint.lower)))
-        limit.set("upper", repr(float(joint.upper)))
-    limit.set("effort", repr(min(float(joint.effort), _UNLIMITED)))
-    limit.set("velocity", repr(_UNLIMITED))
+        limit.set("lower", repr(max(float(joint.lower), -UNLIMITED)))
+        limit.set("upper", repr(min(float(joint.upper), UNLIMITED)))
+    limit.set("effort", repr(min(float(joint.effort), UNLIMITED)))
+    limit.set("velocity", repr(UNLIMITED))
     terms = {"damping": joint.damping, "friction": joint.friction_loss}
     stated = {key: repr(float(value)) for key, value in terms.items() if value}
     if stated:

@@ -84,6 +84,17 @@ def second_moments(phi: FloatArray) -> FloatArray:
     return 0.5 * trace * np.eye(3) - inertia
 
 
+def ellipsoid_density(phi: FloatArray) -> float:
+    """Return the density of the ellipsoid with the inertia φ (10,), kg/m³; infinite if it is flat.
+
+    Its semi-axes are √5 times the root-mean-square extents of the body along its principal axes.
+    """
+    mass, _, central = com_from_phi(phi)
+    squares = np.linalg.eigvalsh(np.trace(central) / 2 * np.eye(3) - central) / mass
+    volume = 4 / 3 * np.pi * np.sqrt(np.prod(5 * np.maximum(squares, 0.0)))
+    return float(mass / volume) if volume > 0 else np.inf
+
+
 def pseudo_inertia(phi: FloatArray) -> FloatArray:
     """Return the pseudo-inertia (..., 4, 4) [[∫xxᵀ, m·c], [m·cᵀ, m]] of φ (..., 10).
 

@@ -1,17 +1,24 @@
 """Load a robot model from a URDF or an MJCF."""
 
 import logging
+import xml.etree.ElementTree as ET
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.choices import Base
-from symbid_ros.errors import ModelError
+from symbid_ros.choices import BASES, Base
+from symbid_ros.errors import ModelError, OptionError
+from symbid_ros.model.inertia import ellipsoid_density
 from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.mjcf_source import read_mjcf
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.urdf import load_urdf
 from symbid_ros.model.xml_file import as_element, read_xml
+
+# Ten times the density of the heaviest metals; links of robots that are all too dense by less have
+# inertias that are estimated badly.
+DENSEST = 2e5  # kg/m³
 
 logger = logging.getLogger(__name__)
 
@@ -33,7 +40,11 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
     ------
     ModelError
         When the file is not a valid URDF or MJCF, or an MJCF contradicts ``base``.
+    OptionError
+        When ``base`` is none of these.
     """
+    if base not in BASES:
+        raise OptionError(f"base is {base!r}; choose from {', '.join(BASES)}", "E501")
     path = Path(path)
     if not is_mjcf(path):
         model = load_urdf(path, base)
@@ -42,7 +53,20 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
         _require_base(model, path, base)
         _report_ignored(path)
     _report_massless(model, is_base_known=base != "auto")
+    _report_density(model)
     return model
+
+
+def as_model(robot: RobotModel | str | Path) -> RobotModel:
+    """Return a robot, which may be given by the path of its file."""
+    if isinstance(robot, RobotModel):
+        return robot
+    if isinstance(robot, str | Path):
+        return load_model(robot)
+    raise TypeError(
+        "robot must be a RobotModel (see symbid_ros.load_model) or the path of its file, not "
+        f"{type(robot).__name__}"
+    )
 
 
 def _require_base(model: RobotModel, path: Path, base: Base) -> None:
@@ -61,6 +85,7 @@ def _require_base(model: RobotModel, path: Path, base: Base) -> None:
 
 
 def _report_ignored(path: Path) -> None:
+    """Log what MuJoCo simulates and the equation of motion lacks."""
     root = read_mjcf(path)
     found = {tag: root.findall(f"{tag}/*") for tag in ("equality", "tendon")}
     names = [each.get("name", f"<{each.tag}>") for group in found.values() for each in group]
@@ -72,6 +97,35 @@ def _report_ignored(path: Path) -> None:
             tags,
             ", ".join(names),
         )
+    bodies = [one for one in root.iter("body") if _is_above_zero(one, "gravcomp")]
+    if bodies:
+        logger.warning(
+            "%s: gravcomp is ignored: %s; the motors are assumed to carry these bodies",
+            path,
+            ", ".join(each.get("name", "a body without a name") for each in bodies),
+        )
+    options = root.findall("option")
+    media = [
+        key for key in ("density", "viscosity") if any(_is_above_zero(one, key) for one in options)
+    ]
+    if media:
+        logger.warning(
+            "%s: %s of <option> is ignored; the robot is assumed to move in a vacuum",
+            path,
+            " and ".join(media),
+        )
+    if any(flag.get("gravity") == "disable" for flag in root.findall("option/flag")):
+        logger.warning(
+            '%s: <flag gravity="disable"/> is ignored: gravity is assumed to act on the robot; '
+            'write <option gravity="0 0 0"/> if none does',
+            path,
+        )
+
+
+def _is_above_zero(element: ET.Element, key: str) -> bool:
+    with suppress(ValueError):  # MuJoCo reports it where it reads the attribute
+        return float(element.get(key, "0")) > 0
+    return False
 
 
 def _report_massless(model: RobotModel, *, is_base_known: bool) -> None:
@@ -89,6 +143,19 @@ def _report_massless(model: RobotModel, *, is_base_known: bool) -> None:
             f"link {names[0]} moves but has"
             if len(names) == 1
             else f"links {', '.join(names)} move but have",
+        )
+
+
+def _report_density(model: RobotModel) -> None:
+    """Log that most links are denser than any body, as those whose masses are in grams."""
+    found = [ellipsoid_density(link.phi) for link in model.links if link.phi[0] > 0]
+    middle = float(np.median(found)) if found else 0.0
+    if DENSEST < middle < np.inf:
+        logger.warning(
+            "%s: half of its links are denser than %.2g kg/m³: masses may be in g, or inertias in "
+            "another unit; give kg and kg m²",
+            model.source,
+            middle,
         )
 
 

@@ -14,7 +14,7 @@ from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.mjcf_source import Shapes, read_mjcf, reduced_mjcf
 from symbid_ros.model.rotation import rotation_from_quaternion
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.model.xml_file import Element
+from symbid_ros.model.xml_file import Element, as_element
 
 
 def load_mjcf(path: Path) -> RobotModel:
@@ -72,10 +72,16 @@ def body_names(compiled: Any) -> list[str]:
 def _compiled(path: Path) -> Any:
     root = read_mjcf(path)
     try:
-        return _compile(root, path, "simple")
+        compiled = _compile(root, path, "simple")
     except ModelError:
         # A shape may take its mesh from a default class; the error, if any, is of what is needed.
-        return _compile(root, path, "none")
+        compiled = _compile(root, path, "none")
+    names = [compiled.joint(joint).name for joint in range(compiled.njnt)]
+    if any(not name for name, kind in zip(names, compiled.jnt_type, strict=True) if kind):
+        joints = (one for part in root.iterfind("worldbody") for one in part.iter("joint"))
+        unnamed = next(one for one in joints if not one.get("name") and one.get("type") != "free")
+        raise ModelError(f"{as_element(unnamed).place}: a joint has no name; name it", "E105")
+    return compiled
 
 
 def _compile(root: Element, path: Path, shapes: Shapes) -> Any:
@@ -235,11 +241,6 @@ class _Reader:
     def _joint(self, joint: int) -> BodyJoint:
         m = self.m
         name = m.joint(joint).name
-        if not name:
-            body = m.body(m.jnt_bodyid[joint]).name
-            raise ModelError(
-                f"{self.source}: a joint of body {body!r} has no name; name it", "E105"
-            )
         kind = m.jnt_type[joint]
         if kind not in (self.SLIDE, self.HINGE):
             raise ModelError(

@@ -177,7 +177,7 @@ class Contacts:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RobotModel:
     """Kinematics and inertias of any robot that is a tree of links.
 
@@ -410,3 +410,11 @@ class RobotModel:
     def phi(self) -> FloatArray:
         """(L, 10) inertial parameters of all links."""
         return np.array([link.phi for link in self.links])
+
+    @property
+    def inertial_parameters(self) -> FloatArray:
+        """(p,) inertial parameters of the links that a file can give mass, base first.
+
+        A body of an MJCF with several joints is a chain of links, of which the last has mass.
+        """
+        return np.concatenate([link.phi for link in self.links if not link.virtual])

@@ -23,6 +23,8 @@ _MOVING: dict[str, Literal["revolute", "prismatic"]] = {
     "continuous": "revolute",
     "prismatic": "prismatic",
 }
+# Stands for no limit: urdfdom requires finite numbers.
+UNLIMITED = 1e9
 _SHORTEST_AXIS = 1e-9
 AT_ORIGIN = 1e-3  # m between a frame's origin and the centre of its ball
 _PRODUCTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -186,7 +188,7 @@ class UrdfReader:
             )
         limit, dynamics = joint.find("limit"), joint.find("dynamics")
         lower, upper = (self._number(limit, key) for key in ("lower", "upper"))
-        if kind == "continuous" or lower is None or upper is None:
+        if kind == "continuous" or lower is None or upper is None or upper - lower >= UNLIMITED:
             lower, upper = -np.inf, np.inf
         effort, speed = (self._number(limit, key) for key in ("effort", "velocity"))
         # URDF requires both numbers, and CAD exporters write zeros for unknown ones. A joint that

@@ -23,7 +23,7 @@ from symbid_ros.identification.solver import Identification
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import Topic, TopicSelection, is_truth
 from symbid_ros.messages.types import IMU, ODOMETRY, POSE, WRENCH
-from symbid_ros.model.load import is_mjcf, load_model
+from symbid_ros.model.load import as_model, is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
 from symbid_ros.options import robot_file_line
@@ -36,7 +36,7 @@ logger = logging.getLogger(__name__)
 
 def load_bag(
     bags: str | Path | Sequence[str | Path],
-    robot: RobotModel | None = None,
+    robot: RobotModel | str | Path | None = None,
     options: LogOptions | None = None,
     **fields: Any,
 ) -> Log:
@@ -46,9 +46,9 @@ def load_bag(
     ----------
     bags : str, Path or sequence of these
         A bag (folder or file), or several of one robot, in any order.
-    robot : RobotModel, optional
-        Robot of the log; joints that the log lacks are held. By default the robot with which the
-        log is used.
+    robot : RobotModel, str or Path, optional
+        Robot of the log, or its file; joints that the log lacks are held. By default the robot with
+        which the log is used.
     options : LogOptions, optional
         Topics and part of the bag to read.
     **fields
@@ -61,9 +61,10 @@ def load_bag(
     """
     paths = [Path(one) for one in ([bags] if isinstance(bags, str | Path) else bags)]
     options = options or LogOptions(**fields)
-    if robot is not None:
-        options = with_wrench_topics(options, robot, paths)
-    return open_bags(paths, robot, options)
+    if robot is None:
+        return open_bags(paths, None, options)
+    robot = as_model(robot)
+    return open_bags(paths, robot, with_wrench_topics(options, robot, paths))
 
 
 def open_bags(bags: Sequence[Path], robot: RobotModel | None, options: LogOptions) -> Log:

@@ -14,15 +14,19 @@ from symbid_ros.arrays import concatenated
 from symbid_ros.bags import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
-from symbid_ros.diagnosis.forces import GAINS, MILLI, common_unit
+from symbid_ros.diagnosis.forces import GAINS, MILLI, common_unit, may_be_in_milli
 from symbid_ros.diagnosis.joint_checks import DEGREES
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.errors import SymbidError
-from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
+from symbid_ros.identification.base_gravity import (
+    FoundGravity,
+    find_gravity,
+    searches_gravity,
+)
 from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.dataset import AlignedLog
-from symbid_ros.identification.joint_readings import find_readings
+from symbid_ros.identification.joint_readings import JointReadings, find_readings
 from symbid_ros.identification.log_reading import MINUTE, first_segments
 from symbid_ros.identification.position_units import find_degrees
 from symbid_ros.identification.robot_options import RobotOptions
@@ -30,6 +34,7 @@ from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.offline.robot_setup_file import RobotSetup
 from symbid_ros.signals.log import Log
+from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import probed
 
 # A gain is corrected if it is known to this share.
@@ -70,8 +75,7 @@ class LogCorrections:
         """Look for all of them, each with those before it in effect."""
         self._name_wrist_sensors()
         self._convert_degrees()
-        self._correct_joints()
-        self._find_gravity()
+        self._correct_joints_and_gravity()
         self._correct_signs_and_units()
 
     def _log(self, robot: RobotModel) -> Log:
@@ -117,17 +121,28 @@ class LogCorrections:
             self.setup.add("position_scale", f"{name}:={1 / DEGREES:.9g}")
         self.setup.note("position_scale", "CHECK: positions are taken to be in degrees.")
 
-    def _correct_joints(self) -> None:
-        """Exchange and reverse joints of the log if the efforts are then explained.
+    def _correct_joints_and_gravity(self) -> None:
+        """Correct joints of the log and gravity on a fixed base if the efforts are then explained.
 
-        Otherwise scales and signs of efforts would explain a part of them.
+        Either looks like the other: the one that leaves less of the efforts comes first, and the
+        other is looked for with it in effect. Scales and signs of efforts would otherwise explain a
+        part of them.
         """
-        options = self.setup.options
         robot = with_robot_options(self.robot, self._given)
-        log = self._log(robot)
-        readings = find_readings(first_segments(log, robot), robot)
+        segments = first_segments(self._log(robot), robot)
+        readings, gravity = find_readings(segments, robot), self._gravity(segments, robot)
+        if gravity is not None and (readings is None or gravity.after <= readings.unexplained):
+            self._set_gravity(gravity)
+            self._set_readings(find_readings(segments, robot.with_gravity(gravity.direction)))
+        elif readings is not None:
+            self._set_readings(readings)
+            self._set_gravity(self._gravity(first_segments(self._log(robot), robot), robot))
+
+    def _set_readings(self, readings: JointReadings | None) -> None:
+        """Exchange and reverse joints of the log."""
         if readings is None:
             return
+        options = self.setup.options
         if owners := readings.exchanged:
             renamed = dict(entry.split(":=", 1) for entry in options.get("rename_joint", []))
             renamed = {name: name for name in owners if name not in renamed.values()} | renamed
@@ -143,13 +158,12 @@ class LogCorrections:
                 reason = "CHECK: the log reverses these joints together with their motion."
                 self.setup.add("effort_scale", f"{name}:=-1.0", reason)
 
-    def _find_gravity(self) -> None:
-        """Say how gravity acts on a fixed base if the efforts contradict the model."""
-        robot = with_robot_options(self.robot, self._given)
-        if not searches_gravity(self._given, robot):
-            return
-        log = self._log(robot)
-        found = find_gravity(first_segments(log, robot), robot)
+    def _gravity(self, segments: Sequence[Segment], robot: RobotModel) -> FoundGravity | None:
+        """Return how gravity acts on a fixed base if the efforts contradict the model."""
+        return find_gravity(segments, robot) if searches_gravity(self._given, robot) else None
+
+    def _set_gravity(self, found: FoundGravity | None) -> None:
+        """Say how gravity acts."""
         if found is not None:
             self.setup.note("gravity", "CHECK: found from the efforts.")
             for one in found.value.split():
@@ -208,7 +222,10 @@ class LogCorrections:
             self._scale(scaled | dict.fromkeys(unknown, usual), unit)
         else:
             self._scale(scaled)
-            beyond = [name for name in unknown if f"{name}/times_limit" in _figures(found)]
+            times = _figures(found)
+            beyond = [
+                name for name in unknown if may_be_in_milli(times.get(f"{name}/times_limit", 0.0))
+            ]
             self._scale(dict.fromkeys(beyond, MILLI), MILLI)
         if "effort_scale" not in self.setup.options:
             self._reverse_efforts(found)

@@ -196,11 +196,15 @@ class _TopicMatcher:
     def _describe_joints(self, ignored: Sequence[str]) -> None:
         if ignored:
             self.setup.note("", f"Ignored joints of the log: {', '.join(ignored)}.")
+        passive = [joint.name for joint in self.robot.joints if joint.effort == 0]
+        if not set(self.robot.measured_joint_names) - set(passive):
+            self.setup.note("", "The model states no drive; efforts in the log are used.")
+            passive = []
         for joint in self.robot.joints:
             if joint.mimic is not None:
                 leader = self.robot.joint_names[joint.mimic.leader]
                 self.setup.note("", f"{joint.name} follows {leader}.")
-            elif joint.effort == 0:
+            elif joint.name in passive:
                 self.setup.note("", f"{joint.name} has no drive: its effort limit is 0.")
 
     def match_sensors(self, msgtype: str, option: str) -> None:

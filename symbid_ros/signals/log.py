@@ -2,14 +2,16 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symbid_ros.arrays import FloatArray, IntArray, distinct
 from symbid_ros.errors import DataError
 from symbid_ros.model.fixed_frames import FixedTransform, with_fixed_frames
+from symbid_ros.model.load import as_model
 from symbid_ros.model.tree import ON_LINK, RobotModel
 from symbid_ros.signals.alignment import resampling_margin
 from symbid_ros.signals.base_pose import PoseStream
@@ -21,6 +23,7 @@ from symbid_ros.signals.defects import (
     seconds,
 )
 from symbid_ros.signals.driving import driving_intervals
+from symbid_ros.signals.given_arrays import flag_array, instants, number_array
 from symbid_ros.signals.spikes import without_spikes
 from symbid_ros.signals.streams import (
     WHOLE_LOG,
@@ -131,7 +134,7 @@ class Log:
     @classmethod
     def from_arrays(
         cls,
-        robot: RobotModel,
+        robot: RobotModel | str | Path,
         *,
         time: ArrayLike,
         position: ArrayLike,
@@ -150,14 +153,14 @@ class Log:
 
         Parameters
         ----------
-        robot : RobotModel
-            Its joints and frames give the columns and the keys below.
+        robot : RobotModel, str or Path
+            A robot or its file, whose joints and frames give the columns and the keys below.
         time : (N,) array_like
-            Instants: seconds if floating-point, nanoseconds if integer.
+            Instants: seconds if floating-point, nanoseconds if integer, or ``datetime64``.
         position, effort : (N, J) array_like
             rad and Nm (m and N for prismatic joints), one column for each of
-            ``robot.measured_joint_names``. NaN marks a missing reading. Angles wrapped to one turn
-            are unwrapped.
+            ``robot.measured_joint_names``; a pandas table with these columns may have them in any
+            order. NaN or a mask marks a missing reading. Angles wrapped to one turn are unwrapped.
         velocity : (N, J) array_like, optional
             rad/s or m/s; only :func:`symbid_ros.diagnose` uses it, to check the positions.
         imus : mapping of str to (N, 6) array_like, optional
@@ -189,19 +192,20 @@ class Log:
         ModelError
             When the robot has no frame of that name.
         """
-        stamp = _stamps(time, name)
+        robot, stamp = as_model(robot), _stamps(time, name)
         tallies = [DefectCounts(name, "time")]
         tallies[0].count_messages(stamp)
         kept = kept_in_order(stamp, tallies[0])
         names = robot.measured_joint_names
-        shape = len(stamp), len(names)
+        unknown = np.full((len(stamp), len(names)), np.nan)
 
-        def rows(what: str, values: ArrayLike, width: int = len(names)) -> FloatArray:
-            array = np.asarray(values, dtype=np.float64)
-            if array.shape != (len(stamp), width):
+        def rows(what: str, values: ArrayLike, width: int = 0) -> FloatArray:
+            array = number_array(f"{name}: {what}", values, () if width else names)
+            shape = len(stamp), width or len(names)
+            if array.shape != shape:
                 raise DataError(
-                    f"{name}: {what} has shape {array.shape}, expected {(len(stamp), width)}: one "
-                    f"row for each of {len(stamp)} instants",
+                    f"{name}: {what} has shape {array.shape}, expected {shape}: one row for each "
+                    f"of {len(stamp)} instants",
                     "E511",
                 )
             return drop_impossible(array[kept])
@@ -210,7 +214,7 @@ class Log:
             kind: str, given: Mapping[str, ArrayLike] | None
         ) -> Iterator[tuple[str, str, IntArray, FloatArray]]:
             """Yield topic, frame, stamps and rows; rows with NaN are counted, as for bags."""
-            for frame, values in (given or {}).items():
+            for frame, values in _by_frame(f"{name}: {kind}", given).items():
                 place, _, link = frame.partition(ON_LINK)
                 if poses and place == WORLD:
                     robot.frame(link or robot.link_names[0])
@@ -230,7 +234,7 @@ class Log:
             names=names,
             stamp=stamp[kept],
             position=rows("position", position),
-            velocity=rows("velocity", np.full(shape, np.nan) if velocity is None else velocity),
+            velocity=rows("velocity", unknown if velocity is None else velocity),
             effort=rows("effort", effort),
         )
         unwrapper = AngleUnwrapper(robot.prismatic_joint_names)
@@ -269,17 +273,16 @@ class Log:
                 for one in wrench_streams
             )
         flags = []
-        for frame, values in (touches or {}).items():
+        for frame, values in _by_frame(f"{name}: touches", touches).items():
             robot.frame(frame)
             topic = f"touches[{frame!r}]"
-            read = np.asarray(values, dtype=bool).reshape(-1, 1)
+            read = flag_array(f"{name}: {topic}", values)
             flags.append(
                 ContactFlags(topic, frame, stamp[kept], rows(topic, read, 1)[:, 0].astype(bool))
             )
-        moves: tuple[tuple[int, int], ...] = ()
-        if driving is not None:
-            read = rows("driving", np.asarray(driving, dtype=bool).reshape(-1, 1), 1)
-            moves = driving_intervals(stamp[kept], read[:, 0].astype(bool))
+        drives = np.zeros(len(stamp)) if driving is None else driving
+        read = rows("driving", flag_array(f"{name}: driving", drives), 1)
+        moves = driving_intervals(stamp[kept], read[:, 0].astype(bool))
         streams = Streams(
             name,
             joints,
@@ -305,18 +308,24 @@ class Log:
         """
         stamps = {one.topic: one.stamp for one in streams.all} | dict(recorded or {})
 
-        def read(span: int | None, warn: bool) -> Iterator[Slice]:
-            yield from _slices(streams, span, part, tallies, stamps)
-            if warn:
-                for tally in tallies:
-                    tally.report()
-
+        read = partial(_slices, streams, part=part, tallies=tallies, stamps=stamps)
         return cls(streams.source, _read=read)
+
+
+def _by_frame(what: str, given: Mapping[str, ArrayLike] | None) -> Mapping[str, ArrayLike]:
+    """Return the arrays of sensors by their frames, after checking that they are named."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise DataError(
+            f"{what} is a {type(given).__name__}; give a mapping from frames to arrays", "E511"
+        )
+    return given
 
 
 def _stamps(time: ArrayLike, name: str) -> IntArray:
     """Return instants (N,) as ns, after checking that their unit is possible."""
-    stamp = _nanoseconds(time, name)
+    stamp = instants(name, time)
     steps = np.diff(distinct(stamp))
     if len(steps) and (step := float(np.median(steps))) <= LEAST_STEP:
         raise DataError(
@@ -327,31 +336,16 @@ def _stamps(time: ArrayLike, name: str) -> IntArray:
     return stamp
 
 
-def _nanoseconds(time: ArrayLike, name: str) -> IntArray:
-    instants: NDArray[np.generic] = np.asarray(time)
-    if instants.ndim != 1 or not len(instants):
-        raise DataError(
-            f"{name}: time has shape {instants.shape}, expected (N,) with N > 0", "E511"
-        )
-    if np.issubdtype(instants.dtype, np.integer):
-        return instants.astype(np.int64)
-    in_seconds = instants.astype(np.float64)
-    # 2⁶² ns are 146 years. The limit leaves room for margins below the overflow of int64.
-    if not (np.abs(in_seconds) < 2**62 * 1e-9).all():
-        raise DataError(
-            f"{name}: time is NaN, infinite or not in seconds; use seconds or integer ns", "E518"
-        )
-    return np.rint(in_seconds * 1e9).astype(np.int64)
-
-
 def _slices(
     streams: Streams,
     span: int | None,
+    warn: bool,
+    *,
     part: TimeRange,
     tallies: tuple[DefectCounts, ...],
     stamps: Mapping[str, IntArray],
 ) -> Iterator[Slice]:
-    """Yield slices as `bags.slices` does for a bag."""
+    """Yield slices as `bags.slices` does for a bag, then report the defects."""
     stamp = streams.joints.stamp
     begin = int(stamp[0]) + round(1e9 * part.start)
     end = int(stamp[0]) + round(1e9 * part.stop) if np.isfinite(part.stop) else int(stamp[-1]) + 1
@@ -374,3 +368,5 @@ def _slices(
             yield Slice(start, until, None, inside, tallies, fault)
         else:
             yield Slice(start, until, piece, inside, tallies)
+    for tally in tallies if warn else ():
+        tally.report()

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
 from symbid_ros.errors import DataError, OptionError
+from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.name_matching import match_names
 from symbid_ros.offline.robot_file import OF_THE_NODE, load_robot_file
@@ -114,6 +115,23 @@ def test_efforts_in_newton_millimetres_get_one_exact_scale(tmp_path) -> None:
     assert setup.options["effort_scale"] == [f"{name}:=0.001" for name in arm.joint_names]
     assert "drive_gain" not in setup.options
     assert any("mNm" in line for line in setup.comments["effort_scale"])
+
+
+@pytest.mark.parametrize("limits", [(0.0,) * 6, (10.0,) * 5 + (0.0,)])
+def test_a_model_without_drives_is_said_to_have_none(tmp_path, limits) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    joints = (replace(joint, effort=one) for joint, one in zip(arm.joints, limits, strict=True))
+    (tmp_path / "arm.xml").write_text(mjcf_text(replace(arm, joints=tuple(joints))))
+    messages = [
+        joint_state(10**18 + i * 10**7, arm.joint_names, *np.ones((3, 6))) for i in range(9)
+    ]
+    bag = joints_only(tmp_path / "bag", *messages)
+    setup = inspect_robot(tmp_path / "arm.xml", [bag], "fixed")
+    said = [line for line in setup.comments[""] if " drive" in line]
+    if any(limits):
+        assert said == ["wrist_3_joint has no drive: its effort limit is 0."]
+    else:
+        assert said == ["The model states no drive; efforts in the log are used."]
 
 
 @pytest.mark.parametrize("velocity_unit", [1.0, np.degrees(1.0)])

@@ -12,6 +12,8 @@ import pytest
 import typer.main
 
 from symbid_ros.cli.app import app
+from symbid_ros.cli.verbosity import logged_level
+from symbid_ros.model.load import load_model
 from symbid_ros.progress import report, reported_to
 
 SYMBID = Path(sys.executable).parent / "symbid"
@@ -188,3 +190,16 @@ def test_help_on_a_narrow_terminal_has_complete_names(symbid_here) -> None:
     shown = symbid_here("excite", "--help", columns=60).stdout
     assert "--accelerometer-noise" in shown
     assert max(map(len, shown.splitlines())) <= 60
+
+
+def test_warnings_about_a_model_are_logged_once_by_a_command(tmp_path, caplog) -> None:
+    robot = tmp_path / "robot.xml"
+    robot.write_text(
+        '<mujoco><option density="1"/><worldbody><body name="arm"><joint name="j"/>'
+        '<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    for commands_so_far in (1, 2):
+        with logged_level(0):
+            load_model(robot)
+            load_model(robot)
+        assert len(caplog.records) == commands_so_far

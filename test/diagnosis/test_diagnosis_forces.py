@@ -58,6 +58,8 @@ class Robot:
             model=SimpleNamespace(floating=self.floating),
             weight=500.0,
             beyond_limits={},
+            wrench_noise=(0.0, 0.0),
+            efforts=[1.0],
             is_loaded=np.array(self.loaded),
             mean_forces=np.array([[0.0, 0, 250], [10, 0, 240]]),
         )

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -239,6 +240,21 @@ def test_exchanged_feet(judged, topics) -> None:
     diagnosis = judged(spoil)
     assert diagnosis.severity is Severity.UNUSABLE, [one.message for one in diagnosis.findings]
     assert found(diagnosis) == [(Kind.CONTRADICTION, "")]
+    assert "white noise" not in diagnosis.findings[0].message
+
+
+def test_noise_of_wrenches_is_named_where_it_may_be_the_cause(judged) -> None:
+    def spoil(log) -> None:
+        log[FIRST]["wrench"], log[SECOND]["wrench"] = log[SECOND]["wrench"], log[FIRST]["wrench"]
+        noise = np.random.default_rng(0).normal(0.0, 5.0, log[FIRST]["wrench"].shape)
+        log[FIRST]["wrench"] = log[FIRST]["wrench"] + noise
+
+    diagnosis = judged(spoil)
+    assert found(diagnosis) == [(Kind.CONTRADICTION, "")]
+    noise = re.search(
+        r"white noise of the wrenches, (.*) Nm and (.*) N, is", diagnosis.findings[0].message
+    )
+    assert [float(one) for one in noise.groups()] == pytest.approx([5.0, 5.0], rel=0.1)
 
 
 def test_a_foot_without_its_sensor(judged) -> None:

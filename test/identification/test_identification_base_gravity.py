@@ -161,15 +161,78 @@ def test_the_doctor_blames_the_mounting_and_no_sensor(ur5) -> None:
     assert given.findings == ()
 
 
-def test_init_writes_the_direction(ur5, tmp_path) -> None:
-    read = streams_under(WALL).joints
+def bag_of(streams, path):
+    read = streams.joints
     columns = zip(read.stamp, read.position, read.velocity, read.effort, strict=True)
     messages = [joint_state(int(stamp), read.names, *one) for stamp, *one in columns]
-    bag = joints_only(tmp_path / "bag", *messages)
+    return joints_only(path / "bag", *messages)
+
+
+def test_init_writes_the_direction(ur5, tmp_path) -> None:
+    bag = bag_of(streams_under(WALL), tmp_path)
     setup = inspect_robot(Path(ur5.source), [bag], "fixed")
-    assert angle([float(one) for one in setup.options["gravity"]], WALL) < 0.2
+    written = [float(one) for one in setup.options["gravity"]]
+    assert angle(written, WALL) < 0.2
+    found = found_in(streams_under(WALL), ur5).direction
+    np.testing.assert_allclose(written, found, atol=1e-5)
     assert "effort_scale" not in setup.options
     assert setup.diagnosis.findings == ()
+
+
+ROD_JOINTS = (  # name, axis, origin, length of its rod, mass
+    ("pan", "0 0 1", "0 0 0.1", 0.1, 4.0),
+    ("lift", "0 1 0", "0 0 0.12", 0.4, 6.0),
+    ("elbow", "0 1 0", "0.4 0 0", 0.35, 3.0),
+    ("wrist_1", "0 1 0", "0.35 0 0", 0.1, 1.2),
+    ("wrist_2", "0 0 1", "0 0 0.1", 0.08, 1.0),
+    ("wrist_3", "1 0 0", "0.08 0 0", 0.05, 0.4),
+)
+
+
+def rods_urdf():
+    """Return a URDF of an arm of six rods."""
+    parent, text = "base", '<link name="base"/>'
+    for name, axis, origin, length, mass in ROD_JOINTS:
+        turning = mass * length**2 / 12
+        centre = f"{length / 2} 0.01 0.01" if length > 0.1 else f"0.01 0.01 {length / 2}"
+        text += (
+            f'<link name="{name}_link"><inertial><origin xyz="{centre}"/>'
+            f'<mass value="{mass}"/><inertia ixx="{turning / 5}" ixy="0" ixz="0" iyy="{turning}" '
+            f'iyz="0" izz="{turning}"/></inertial></link><joint name="{name}" type="continuous">'
+            f'<parent link="{parent}"/><child link="{name}_link"/><origin xyz="{origin}"/>'
+            f'<axis xyz="{axis}"/></joint>'
+        )
+        parent = f"{name}_link"
+    return f'<robot name="rods">{text}</robot>'
+
+
+def test_init_reverses_no_joint_in_place_of_gravity(tmp_path) -> None:
+    """Under the wrong gravity, a reversed first joint explains the efforts of the wrists better."""
+    path = tmp_path / "rods.urdf"
+    path.write_text(rods_urdf())
+    robot = sy.load_model(path, base="fixed")
+    parameters = ParameterSet(robot)
+    true = parameters.apply(draw_prior(parameters, "consistent", 25, 0).mean)
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, 20.0, 0.005)
+    frequency = rng.uniform(0.05, 0.6, (5, 6))
+    rate = 2 * np.pi * frequency
+    size = 0.15 * rng.uniform(0.5, 1.0, (5, 6)) / frequency**0.7
+    phase = time[:, None, None] * rate + rng.uniform(0, 2 * np.pi, (5, 6))
+    position = np.sum(size * np.sin(phase), axis=1)
+    velocity = np.sum(size * rate * np.cos(phase), axis=1)
+    acceleration = -np.sum(size * rate**2 * np.sin(phase), axis=1)
+    rows = sy.regressor(true.with_gravity(-DOWN), position, velocity, acceleration)
+    effort = rows @ true.phi.ravel()
+    scale = effort.std(axis=0)
+    effort += 0.05 * scale * (2 * velocity + np.tanh(velocity / 1e-3) + acceleration)
+    effort += 0.01 * scale * rng.standard_normal(effort.shape)
+    position += 2e-5 * rng.standard_normal(position.shape)
+    columns = zip((1e9 * time).astype(int) + 10**18, position, velocity, effort, strict=True)
+    messages = [joint_state(int(stamp), robot.joint_names, *one) for stamp, *one in columns]
+    setup = inspect_robot(path, [joints_only(tmp_path / "bag", *messages)], "fixed")
+    assert angle([float(one) for one in setup.options["gravity"]], -DOWN) < 0.2
+    assert not {"flip_joint", "effort_scale"} & set(setup.options)
 
 
 def test_a_direction_needs_a_fixed_base_and_a_length() -> None:

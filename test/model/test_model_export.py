@@ -404,6 +404,19 @@ def test_a_link_written_as_an_empty_element_gets_its_identified_inertia(tmp_path
     np.testing.assert_allclose(load_model(out, "fixed").phi, phi, atol=1e-15)
 
 
+def test_a_slide_without_a_range_has_finite_limits_in_a_urdf(tmp_path):
+    """urdfdom reads no infinity."""
+    (tmp_path / "rail.xml").write_text(
+        '<mujoco><worldbody><body name="cart"><joint name="rail" type="slide" axis="1 0 0"/>'
+        '<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    text = urdf_text(load_model(tmp_path / "rail.xml"))
+    assert pinocchio.buildModelFromXML(text).nq == 1
+    (tmp_path / "rail.urdf").write_text(text)
+    (joint,) = load_model(tmp_path / "rail.urdf", "fixed").joints
+    assert (joint.lower, joint.upper) == (-np.inf, np.inf)
+
+
 @pytest.mark.parametrize("write", [urdf_text, mjcf_text])
 @pytest.mark.parametrize("seed", range(3))
 def test_reference_positions_survive_both_formats(write, seed, tmp_path):

@@ -1,5 +1,6 @@
 """Mimic joints follow their leaders; ignored elements of an MJCF are reported."""
 
+import re
 from dataclasses import replace
 
 import mujoco
@@ -8,9 +9,11 @@ import pytest
 from random_robots import random_samples
 
 from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, known_force
 from symbid_ros.errors import ModelError
+from symbid_ros.identification.api import regressor
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
@@ -69,6 +72,17 @@ def test_a_chain_of_mimic_joints_is_bound_to_its_leader(gripper):
     assert bound.offset == pytest.approx(0.5 - 2 * 0.1)
     assert gripper.measured_joint_names == ("master",)
     samples = following(gripper, 5)
+    motion = [samples.position, samples.velocity, samples.acceleration]
+    others = [one.copy() for one in motion]
+    for one in others:
+        one[:, [far, near]] = 7.0
+    base = BaseMotion(
+        samples.base_angular_velocity,
+        samples.base_angular_acceleration,
+        samples.base_specific_force,
+    )
+    expected, found = (regressor(gripper, *one, base=base) for one in (motion, others))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
     np.testing.assert_allclose(gripper.apply_mimics(samples.position), samples.position, atol=1e-15)
     rates = gripper.apply_mimics(samples.velocity, rates=True)
     np.testing.assert_allclose(rates, samples.velocity, atol=1e-15)
@@ -170,6 +184,26 @@ def test_a_mimic_without_a_leader_is_rejected(mimic, message, tmp_path):
         load_model(tmp_path / "robot.urdf")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name="left"', 'name="left" gravcomp="0.5"', "gravcomp is ignored: left; the motors"),
+        ("<option/>", '<option density="1000"/>', "density of <option> is ignored"),
+        ("<option/>", '<option density="1" viscosity="1"/>', "density and viscosity of <option>"),
+        ("<option/>", '<option><flag gravity="disable"/></option>', "flag gravity=.* is ignored"),
+        ("<option/>", '<option density="0" viscosity="0"/>', ""),
+        ('name="left"', 'name="left" gravcomp="0"', ""),
+    ],
+)
+def test_forces_that_the_equation_of_motion_lacks_are_named(old, new, message, tmp_path, caplog):
+    text = """<mujoco><option/><worldbody>
+      <body name="left"><joint name="l"/><geom size=".1"/></body></worldbody></mujoco>"""
+    (tmp_path / "robot.xml").write_text(text.replace(old, new))
+    load_model(tmp_path / "robot.xml")
+    assert len(caplog.records) == bool(message)
+    assert re.search(message, caplog.text)
+
+
 def test_equalities_tendons_and_massless_links_are_reported(tmp_path, caplog):
     text = """<mujoco><worldbody><body name="base"><freejoint/>
       <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
@@ -180,6 +214,7 @@ def test_equalities_tendons_and_massless_links_are_reported(tmp_path, caplog):
     (tmp_path / "robot.xml").write_text(text)
     load_model(tmp_path / "robot.xml")
     assert "robot.xml: <equality> and <tendon> are ignored: same, cord" in caplog.text
+    assert len(caplog.records) == 1
     caplog.clear()
     (tmp_path / "robot.urdf").write_text(GRIPPER.replace(INERTIAL, "", 3))
     load_model(tmp_path / "robot.urdf", "fixed")

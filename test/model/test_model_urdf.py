@@ -250,3 +250,18 @@ def test_chains_have_a_limited_length(tmp_path):
 )
 def test_expanded_files_have_another_name(tmp_path, name, expanded):
     assert expanded_name(tmp_path / name) == expanded
+
+
+@pytest.mark.parametrize(("factor", "is_named"), [(1.0, False), (1e3, True)])
+def test_masses_in_grams_are_reported(factor, is_named, tmp_path, caplog):
+    """A rod of aluminium, 0.4 m long, with mass and inertia times a factor."""
+    mass, turning = 0.7 * factor, 9.4e-3 * factor
+    path = tmp_path / "rod.urdf"
+    path.write_text(
+        '<robot name="rod"><link name="world"/><joint name="j" type="continuous">'
+        '<parent link="world"/><child link="arm"/></joint><link name="arm"><inertial>'
+        f'<mass value="{mass}"/><inertia ixx="{0.02 * turning}" iyy="{turning}" izz="{turning}" '
+        'ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+    )
+    load_model(path)
+    assert ("masses may be in g" in caplog.text) == is_named

@@ -1,5 +1,6 @@
 """Logs of arrays are cut and aligned like a bag with the same measurements."""
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -123,11 +124,83 @@ def test_integer_instants_are_nanoseconds_and_sorted(robot) -> None:
         ({"time": np.zeros(200)}, DataError, "time"),
         ({"imus": {"nowhere": np.zeros((200, 6))}}, ModelError, "nowhere"),
         ({"wrenches": {"left_sole": np.zeros((200, 3))}}, DataError, "left_sole"),
+        ({"imus": np.zeros((200, 6))}, DataError, "imus is a ndarray; give a mapping from frames"),
+        ({"touches": np.zeros(200)}, DataError, "touches is a ndarray; give a mapping"),
+        ({"position": 0.0}, DataError, "position has shape"),
+        ({"effort": [[1.0], [1.0, 2.0]]}, DataError, "effort is not an array of numbers"),
+        ({"time": np.ma.masked_less(np.arange(200), 3)}, DataError, "time is masked"),
+        (
+            {"driving": np.ma.masked_array(np.zeros(200, bool), np.arange(200) == 3)},
+            DataError,
+            "driving has masked",
+        ),
     ],
 )
 def test_invalid_arrays_are_named(robot, change, error, named) -> None:
     with pytest.raises(error, match=named):
         Log.from_arrays(robot, **(arrays(robot) | change))
+
+
+def test_masked_readings_are_missing(robot) -> None:
+    given = arrays(robot)
+    missing = np.random.default_rng(2).random(given["position"].shape) < 0.1
+    for name, garbage in (("position", 99.0), ("effort", -999.0)):
+        values = np.where(missing, garbage, given[name])
+        given[name] = np.ma.masked_array(values, mask=missing)
+    joints = Log.from_arrays(robot, **given).streams().joints
+    np.testing.assert_array_equal(np.isnan(joints.effort), missing)
+    np.testing.assert_array_equal(np.isnan(joints.position), missing)
+
+
+class Table:
+    """Columns by name, as a pandas.DataFrame."""
+
+    def __init__(self, columns, values):
+        self.columns, self.values = list(columns), np.asarray(values)
+
+    def __getitem__(self, names):
+        places = [self.columns.index(name) for name in names]
+        return Table(names, self.values[:, places])
+
+    def __array__(self, dtype=None, copy=None):
+        return self.values.astype(dtype)
+
+
+def test_columns_of_a_table_are_taken_by_their_names(robot) -> None:
+    given = arrays(robot)
+    names = robot.measured_joint_names
+    order = np.random.default_rng(3).permutation(len(names))
+    mixed = [names[one] for one in order]
+    tables = {name: Table(mixed, given[name][:, order]) for name in ("position", "effort")}
+    joints = Log.from_arrays(robot, **(given | tables)).streams().joints
+    np.testing.assert_array_equal(joints.position, given["position"])
+    np.testing.assert_array_equal(joints.effort, given["effort"])
+    numbered = Table(range(len(names)), given["effort"])
+    joints = Log.from_arrays(robot, **(given | {"effort": numbered})).streams().joints
+    np.testing.assert_array_equal(joints.effort, given["effort"])
+    wrong = Table(["elsewhere", *names[1:]], given["effort"])
+    with raises_code("E511", f"effort has no column {names[0]}; add it"):
+        Log.from_arrays(robot, **(given | {"effort": wrong}))
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+def test_instants_may_be_dates_and_durations(robot, unit) -> None:
+    given = arrays(robot)
+    expected = 10_000_000 * np.arange(200)
+    durations = expected.astype("timedelta64[ns]").astype(f"timedelta64[{unit}]")
+    dates = np.datetime64("2026-01-01", unit) + durations
+    for time in (durations, dates):
+        streams = Log.from_arrays(robot, **(given | {"time": time})).streams()
+        stamp = streams.joints.stamp
+        np.testing.assert_array_equal(stamp - stamp[0], expected)
+
+
+def test_logs_of_arrays_and_bags_can_be_pickled(robot, bag) -> None:
+    for log in (Log.from_arrays(robot, **arrays(robot)), bag_log((bag,), robot), bag_log((bag,))):
+        again = pickle.loads(pickle.dumps(log))
+        assert again.source == log.source
+        found = again.of_robot(robot).streams().joints
+        np.testing.assert_array_equal(found.position, log.of_robot(robot).streams().joints.position)
 
 
 def test_a_sensor_without_readings_is_named(robot) -> None:
