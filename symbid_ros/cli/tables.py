@@ -331,11 +331,11 @@ def errors_table(title: str, errors: Mapping[str, float]) -> Table:
 def metrics_table(methods: Sequence[MethodResult]) -> Table:
     """Return a table of methods and their metrics, at most 80 columns wide.
 
-    The best value of each column is bold. A method without metrics shows dashes.
+    The best value of each column has a star and is bold. A method without metrics shows dashes.
     """
     table = Table(
         title="Errors against the ground truth",
-        caption="best of each column in bold",
+        caption="*: best of each column",
         box=box.SIMPLE_HEAD,
         title_justify="left",
         caption_justify="left",
@@ -347,11 +347,9 @@ def metrics_table(methods: Sequence[MethodResult]) -> Table:
     for method in methods:
         metrics = method.metrics or {}
         cells = [
-            Text(
-                significant(metrics.get(metric.key)),
-                style="bold" if method.label in best[metric.key] else "",
-            )
+            Text(f"*{shown}", style="bold") if method.label in best[metric.key] else Text(shown)
             for metric in METRICS
+            for shown in [significant(metrics.get(metric.key))]
         ]
         table.add_row(Text(method.label), *cells)
     return table
