@@ -22,7 +22,7 @@ from symbid_ros.identification.validation import Validation
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.options import spelled
 from symbid_ros.report.content import METRICS, REALISTIC_METRICS, MethodResult, best_labels
-from symbid_ros.report.formatting import counted, significant
+from symbid_ros.report.formatting import counted, significant, with_std
 
 ERRORS = ("measured", "before", "after"), ("before %", "after %", "in 90 %")
 LEGEND = (
@@ -368,7 +368,8 @@ def print_validation(found: Validation) -> None:
     if (mass := found.mass) is not None:
         console.print(
             f"total mass: {mass.before:.2f} kg → {mass.after:.2f} kg, while the forces show "
-            f"{mass.measured:.2f} ± {'–' if mass.std is None else f'{mass.std:.2f}'} kg",
+            f"{with_std(mass.measured, mass.std or 0.0)} kg, apart from a gain that they have in "
+            "common",
             soft_wrap=True,
         )
     if found.coverage is not None and found.normalized_square is not None:
