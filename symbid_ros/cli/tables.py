@@ -30,7 +30,12 @@ LEGEND = (
     "measured"
 )
 # Units of errors whose names do not state them.
-UNITS = {one.key: one.unit for one in (*METRICS, *REALISTIC_METRICS)} | {"torque_std": "Nm"}
+UNITS = {one.key: one.unit for one in (*METRICS, *REALISTIC_METRICS)} | {
+    "com_std_mm": "mm",
+    "torque_std": "Nm",
+    "com_coverage": "of the true values",
+    "torque_coverage": "of the true values",
+}
 SHOWN = 20  # number of lost ranges to print; --json gives all
 
 

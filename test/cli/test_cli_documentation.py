@@ -194,10 +194,19 @@ def checkout(tmp_path_factory, simulated) -> Path:
     """Return a folder with what the pages take for granted."""
     folder = tmp_path_factory.mktemp("checkout")
     (folder / "config").symlink_to(ROOT / "config")
-    (folder / "my_bag").symlink_to(simulated("smooth", moves=5, motion_seed=1))
+    copy_bag(simulated("smooth", moves=5, motion_seed=1), folder / "my_bag")
     write_inaccurate(ROOT / "config" / "symbitron.urdf", folder / "my_robot.urdf", seed=1)
     write_arm(folder)
     return folder
+
+
+def copy_bag(bag: Path, copy: Path) -> None:
+    """Copy a bag of one file, whose file gets the name of the copy, as recorders name it."""
+    copy.mkdir()
+    for file in bag.iterdir():
+        shutil.copy(file, copy / file.name.replace(bag.name, copy.name))
+    metadata = copy / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace(bag.name, copy.name))
 
 
 def test_the_pages_show_what_the_commands_printed() -> None:
