@@ -38,10 +38,16 @@ def markdown_table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     )
 
 
-class Options(SphinxDirective):
-    """The options of a command of ``symbid``, one table for each group."""
+class GeneratedTable(SphinxDirective):
+    """A table in place of a block, whose text tells readers of the repository where to find it."""
 
     required_arguments = 1
+    has_content = True
+
+
+class Options(GeneratedTable):
+    """The options of a command of ``symbid``, one table for each group."""
+
     optional_arguments = 3
 
     def run(self) -> list[nodes.Node]:
@@ -67,10 +73,8 @@ class Options(SphinxDirective):
         return self.parse_text_to_nodes("\n\n".join(parts))
 
 
-class Parameters(SphinxDirective):
+class Parameters(GeneratedTable):
     """The parameters of a node."""
-
-    required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
         rows = []
@@ -84,10 +88,8 @@ class Parameters(SphinxDirective):
         return self.parse_text_to_nodes(markdown_table(("parameter", "default", "meaning"), rows))
 
 
-class Schema(SphinxDirective):
+class Schema(GeneratedTable):
     """The keys of a JSON document."""
-
-    required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
         content = schema(self.arguments[0])
@@ -137,10 +139,8 @@ def kind_of(value: Any) -> str:
     return "functions" if callable(value) else "constants"
 
 
-class PublicApi(SphinxDirective):
+class PublicApi(GeneratedTable):
     """Functions, classes, options or errors that ``import symbid_ros`` offers."""
-
-    required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
         (kind,) = self.arguments

@@ -32,7 +32,7 @@ def fleet(
     Exit status: 0 no robot differs, 1 at least one does, 2 error.
     """
     from symbid_ros.atomic_write import check_output_file, write_text
-    from symbid_ros.identification.fleet import fleet_document, fleet_of_results
+    from symbid_ros.identification.fleet import fleet_document, fleet_of_results, spread_sizes
     from symbid_ros.report.fleet_page import COLUMNS, LEGEND, fleet_rows, render_fleet
     from symbid_ros.report.templates import is_page
 
@@ -51,7 +51,7 @@ def fleet(
         groups = COLUMNS, found.robots
         print_table(console, "link", groups, rows, style=HEAVY_HEAD)
         console.print(Text(LEGEND), soft_wrap=True)
-        spread = ", ".join(f"{name} {100 * size:.2g} %" for name, size in found.spread.items())
+        spread = ", ".join(f"{name} {size} %" for name, size in spread_sizes(found).items())
         console.print(Text(f"between robots: {spread}"), soft_wrap=True)
         style = "bold red" if found.deviations else "green"
         console.print(Text(str(document["verdict"]), style=style), soft_wrap=True)

@@ -28,7 +28,7 @@ def diff(
 
     The original robot before, the identified one after, with standard deviations.
 
-    Changes of more than two standard deviations are bold.
+    A star marks changes of more than two standard deviations.
     """
     from symbid_ros.identification.link_changes import robot_change
 
@@ -115,14 +115,15 @@ def print_change(found: "RobotChange") -> None:
     table.add_column("", overflow="fold")
     for header in ("before", "after", "±"):
         table.add_column(header, justify="right", no_wrap=True)
+    moments = [link.principal_inertia_kg_m2 for link in found.links]
+    largest = max(abs(value) for one in moments for value in (*one.before, *one.after))
+    scale, unit = (1.0, "kg m²") if largest >= 10 else (1e3, "g m²")
     for link in found.links:
         table.add_row(Text(link.name, style="bold cyan"))
         _add_rows(table, ("mass kg",), link.mass_kg)
         _add_rows(table, [f"CoM {axis} mm" for axis in "xyz"], link.com_m, 1e3)
-        moments = link.principal_inertia_kg_m2
-        largest = max(map(abs, (*moments.before, *moments.after)))
-        scale, unit = (1.0, "kg m²") if largest >= 0.1 else (1e3, "g m²")
-        _add_rows(table, [f"I{number} {unit}" for number in "123"], moments, scale)
+        inertia = link.principal_inertia_kg_m2
+        _add_rows(table, [f"I{number} {unit}" for number in "123"], inertia, scale)
         if link.determined is not None:
             table.add_row("  determined", "", f"{link.determined} of 10", "")
         table.add_section()
@@ -133,7 +134,7 @@ def print_change(found: "RobotChange") -> None:
         _add_rows(table, (f"{term.name} {unit}",), change)
     console.print(table)
     console.print(
-        "I1, I2, I3: principal moments about the centre of mass; bold: changed by more than 2 ±",
+        "I1, I2, I3: principal moments about the centre of mass; *: changed by more than 2 ±",
         soft_wrap=True,
     )
 
@@ -154,9 +155,8 @@ def _add_rows(
         decimals = _decimals(scale * before, scale * after, None if std is None else scale * std)
         numbers = [f"{scale * value:.{decimals}f}" if value else "0" for value in (before, after)]
         deviation = "–" if std is None else f"{scale * std:.{decimals}f}"
-        table.add_row(
-            Text(f"  {name}"), numbers[0], Text(numbers[1], "bold" if is_large else ""), deviation
-        )
+        after_cell = Text(f"*{numbers[1]}", "bold") if is_large else Text(numbers[1])
+        table.add_row(Text(f"  {name}"), numbers[0], after_cell, deviation)
 
 
 def _decimals(before: float, after: float, std: float | None) -> int:

@@ -8,6 +8,7 @@ from rich.text import Text
 
 from symbid_ros.cli.fitted_tables import print_table, written_files
 from symbid_ros.cli.flags import flag
+from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.excitation.files import FILES
 from symbid_ros.excitation.page import closest_links, contacts_used
 from symbid_ros.excitation.plan import ExcitationPlan
@@ -61,7 +62,10 @@ def print_link_deviations(console: Console, plan: ExcitationPlan) -> None:
         (link, cells[size * index : size * (index + 1)])
         for index, link in enumerate(parameters.link_names)
     ]
-    title = "expected standard deviations, SI units; in brackets: not determined"
+    title = (
+        "expected standard deviations, SI units; in brackets: not determined (above "
+        f"{100 * DETERMINED:.0f} % of that before)"
+    )
     groups = PARAMETERS[:MOMENTS], PARAMETERS[MOMENTS:]
     print_table(console, "link", groups, rows, title=title)
 

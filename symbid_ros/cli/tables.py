@@ -22,7 +22,7 @@ from symbid_ros.identification.validation import Validation
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.options import spelled
 from symbid_ros.report.content import METRICS, REALISTIC_METRICS, MethodResult, best_labels
-from symbid_ros.report.formatting import counted, significant
+from symbid_ros.report.formatting import counted, significant, with_std
 
 ERRORS = ("measured", "before", "after"), ("before %", "after %", "in 90 %")
 LEGEND = (
@@ -30,7 +30,12 @@ LEGEND = (
     "measured"
 )
 # Units of errors whose names do not state them.
-UNITS = {one.key: one.unit for one in (*METRICS, *REALISTIC_METRICS)} | {"torque_std": "Nm"}
+UNITS = {one.key: one.unit for one in (*METRICS, *REALISTIC_METRICS)} | {
+    "com_std_mm": "mm",
+    "torque_std": "Nm",
+    "com_coverage": "of the true values",
+    "torque_coverage": "of the true values",
+}
 SHOWN = 20  # number of lost ranges to print; --json gives all
 
 
@@ -330,11 +335,11 @@ def errors_table(title: str, errors: Mapping[str, float]) -> Table:
 def metrics_table(methods: Sequence[MethodResult]) -> Table:
     """Return a table of methods and their metrics, at most 80 columns wide.
 
-    The best value of each column is bold. A method without metrics shows dashes.
+    The best value of each column has a star and is bold. A method without metrics shows dashes.
     """
     table = Table(
         title="Errors against the ground truth",
-        caption="best of each column in bold",
+        caption="*: best of each column",
         box=box.SIMPLE_HEAD,
         title_justify="left",
         caption_justify="left",
@@ -346,11 +351,9 @@ def metrics_table(methods: Sequence[MethodResult]) -> Table:
     for method in methods:
         metrics = method.metrics or {}
         cells = [
-            Text(
-                significant(metrics.get(metric.key)),
-                style="bold" if method.label in best[metric.key] else "",
-            )
+            Text(f"*{shown}", style="bold") if method.label in best[metric.key] else Text(shown)
             for metric in METRICS
+            for shown in [significant(metrics.get(metric.key))]
         ]
         table.add_row(Text(method.label), *cells)
     return table
@@ -369,7 +372,8 @@ def print_validation(found: Validation) -> None:
     if (mass := found.mass) is not None:
         console.print(
             f"total mass: {mass.before:.2f} kg → {mass.after:.2f} kg, while the forces show "
-            f"{mass.measured:.2f} ± {'–' if mass.std is None else f'{mass.std:.2f}'} kg",
+            f"{with_std(mass.measured, mass.std or 0.0)} kg, apart from a gain that they have in "
+            "common",
             soft_wrap=True,
         )
     if found.coverage is not None and found.normalized_square is not None:

@@ -307,7 +307,9 @@ class Estimate:
             first = place[f"{link}/m"]
             mass, com, inertia = com_from_phi(self.value[first : first + 10])
             std = "" if self.std is None else f" ± {self.std[first]:.2g}"
-            products = ", ".join(f"{one:.4g}" for one in inertia[np.triu_indices(3)])
+            largest = float(np.abs(inertia).max())
+            decimals = 6 if largest == 0 else max(0, 4 - int(np.floor(np.log10(largest))))
+            products = ", ".join(f"{one:.{decimals}f}" for one in inertia[np.triu_indices(3)])
             force, moment = (
                 ", ".join(
                     f"{self.value[place[f'{frame}/offset_{kind}_{axis}']]:.3g}" for axis in "xyz"

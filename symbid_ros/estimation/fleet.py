@@ -119,7 +119,7 @@ class FleetEstimate:
     link_changes : tuple of tuple of (LinkChange or None)
         Of each link of each robot; None if the data do not show a change of the link.
     tests : int
-        Number of places and robots that were tested.
+        Number of places of all robots that were tested: those at which a typical change would show.
     """
 
     parameters: ParameterSet
@@ -179,16 +179,19 @@ def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> 
     places = _places(parameters, typical)
     scaled = [_scaled(place, L) for place in places]
     found: list[tuple[int, int, float, float, tuple[str, ...]]] = []
+    tests = 0
     while True:
         tested = [
-            (*_test(fit, robot, one), robot, index)
+            (*test, robot, index)
             for robot in range(len(members))
             for index, one in enumerate(scaled)
             if (robot, index) not in [(entry[0], entry[1]) for entry in found]
+            if (test := _test(fit, robot, one)) is not None
         ]
+        tests = tests or len(tested)
         # Holm: the p-value of the next deviation counts the tests that are left.
         count = len(tested)
-        odds = np.log(count / LEVEL)
+        odds = np.log(max(count, 1) / LEVEL)
         significant = [one for one in tested if one[1] * count < LEVEL and one[0] > odds]
         if not significant or len(found) >= len(members) * len(places) // 2:
             break
@@ -211,7 +214,6 @@ def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> 
         own, spread = fit.member(robot)
         values.append(prior.mean + L @ own)
         stds.append(_norms(L @ _root(spread)))
-    tests = len(members) * len(places)
     links = list(zip(places, scaled, strict=True))[: len(parameters.link_names)]
     changes = [
         [_link_change(fit, robot, place, factors, L, tests=tests) for place, factors in links]
@@ -442,8 +444,8 @@ def _scaled(place: _Place, L: FloatArray) -> tuple[FloatArray, FloatArray | None
 
 def _test(
     fit: _Fit, robot: int, factors: tuple[FloatArray, FloatArray | None]
-) -> tuple[float, float]:
-    """Return evidence and p-value of a deviation of a robot."""
+) -> tuple[float, float] | None:
+    """Return evidence and p-value of a deviation of a robot; None if no change would show."""
     score, information = fit.scores[robot]
     evidences, p_values = [], []
     for factor in factors:
@@ -457,10 +459,10 @@ def _test(
         if shown.any():
             square = float(np.sum((V[:, shown].T @ g) ** 2 / values[shown]))
             p_values.append(float(chi2.sf(square, np.count_nonzero(shown))))
-    count = len(evidences)
-    evidence = float(np.logaddexp.reduce(evidences) - np.log(count))
-    # Without a direction in which a change would show, nothing can be tested.
-    return evidence, min([1.0, *(len(p_values) * one for one in p_values)])
+    if not p_values:
+        return None
+    evidence = float(np.logaddexp.reduce(evidences) - np.log(len(evidences)))
+    return evidence, min(1.0, *(len(p_values) * one for one in p_values))
 
 
 def _without(fit: _Fit, robot: int, any_change: FloatArray) -> _Fit:

@@ -70,6 +70,8 @@ def write_plan(plan: ExcitationPlan, out: Path) -> None:
         other = replace(plan, coefficients=plan.validation)
         write_text(stage / VALIDATION_FILE, csv_text(other))
         _write_bag(other, stage / VALIDATION_BAG)
+    if plan.problem.prior is None:  # that of an earlier plan would be taken for this one's
+        (out / PRIOR_FILE).unlink(missing_ok=True)
 
 
 def csv_text(plan: ExcitationPlan) -> str:

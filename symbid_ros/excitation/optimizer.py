@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import clarabel  # type: ignore[import-untyped]
 import numpy as np
+from scipy.optimize import brentq
 from scipy.sparse import csc_array, eye_array, kron, vstack
 
 from symbid_ros.arrays import FloatArray
@@ -31,6 +32,14 @@ FIRST_CURVATURE = 1.0  # nat per squared coefficient
 DAMPING = 0.2
 AIM = 0.97  # share of nonlinear limits that a program aims at; steps may use all
 NEAR = 0.5  # share of a nonlinear limit from which it is linearized
+# A trajectory is checked at more instants than the search uses. Legs that follow a base move faster
+# than its harmonics, so their peaks are short. Distances take much longer to compute, and peak
+# where joints are slow.
+REFINEMENT, DISTANCE_REFINEMENT = 16, 4
+# Largest share of a limit at the checked instants: a peak between them is less than a thousandth
+# higher.
+LARGEST_SHARE = 0.999
+SCALE_TOLERANCE = 2e-4  # of the factor by which a trajectory is scaled into the limits
 KEEP_EVERY = 10  # iterations; to check a trajectory between samples takes as long as some of them
 CANDIDATES = 4  # random trajectories drawn for each start; the best become starts
 RETRIES = 40  # random starts that are tried for a feasible one
@@ -84,15 +93,26 @@ class Design:
         rows = self.expected.measured_rows(motion)
         return self.expected.gain(self.repeats * self.expected.information(rows))
 
-    def excess(self, coefficients: FloatArray, time: FloatArray | None = None) -> float:
-        """Return the largest share of any limit that is used; at most 1 is feasible."""
-        motion = self.series.motion(coefficients, self.time if time is None else time)
+    def excess(self, coefficients: FloatArray, count: int | None = None) -> float:
+        """Return the largest share of any limit that is used; at most 1 is feasible.
+
+        Parameters
+        ----------
+        coefficients : (m, D) float64
+        count : int, optional
+            Number of instants of the period, by default those of the search. Distances count at
+            `DISTANCE_REFINEMENT` times as many as the search uses, at most.
+        """
+        count = self.samples if count is None else count
+        motion = self.series.motion(coefficients, self.instants(count))
         used = max(float(each.max()) for each in self.limits.usage(motion).values())
         if used <= 1.0:
             used = max(used, float(np.abs(self.expected.shares(motion)).max(initial=0.0)))
         if used > 1.0 or self.clearance is None:  # distances take much longer
             return used
-        return max(used, self.clearance.usage(self.expected.joints.samples(motion).position))
+        stride = max(1, count // (DISTANCE_REFINEMENT * self.samples))
+        position = self.expected.joints.samples(motion[:, ::stride]).position
+        return max(used, self.clearance.usage(position))
 
 
 @dataclass(frozen=True)
@@ -284,17 +304,20 @@ class TrajectoryOptimizer:
         self, coefficients: FloatArray, largest: float = 8.0, about: FloatArray | None = None
     ) -> float:
         """Return the largest factor of `_shrunk` within all limits, 0 if rest is not."""
-        time = self.design.instants(4 * self.design.samples)
-        if largest == 1.0 and self.design.excess(coefficients, time) <= 1.0:
-            return 1.0
-        if self.design.excess(self._shrunk(coefficients, 0.0, about), time[:1]) > 1.0:
+        count = REFINEMENT * self.design.samples
+        tried: dict[float, float] = {}
+
+        def over(scale: float) -> float:
+            shrunk = self._shrunk(coefficients, scale, about)
+            used = self.design.excess(shrunk, count if scale > 0 else 1)
+            tried[scale] = used - LARGEST_SHARE if np.isfinite(used) else LARGEST_SHARE
+            return tried[scale]
+
+        if over(0.0) > 0.0:
             return 0.0
-        low, high = 0.0, largest
-        for _ in range(12):
-            middle = (low + high) / 2
-            fits = self.design.excess(self._shrunk(coefficients, middle, about), time) <= 1.0
-            low, high = (middle, high) if fits else (low, middle)
-        return low
+        if over(largest) > 0.0:
+            brentq(over, 0.0, largest, xtol=SCALE_TOLERANCE)
+        return max(scale for scale, excess in tried.items() if excess <= 0.0)
 
     @staticmethod
     def _shrunk(

@@ -25,11 +25,19 @@ def describe_change(error: ForceError) -> str:
 
 def describe_files(percents: Mapping[str, float], after: float | None) -> str:
     """Return the errors of model files that predict worse than the identified model, if any."""
-    worst = max(percents.values(), default=0.0)
-    if after is None or worst <= after or not differ_relevantly(after, worst):
+    if after is None:
         return ""
-    errors = ", ".join(f"{name} alone errs by {percent(value)}" for name, value in percents.items())
-    return f"{errors}: a model file cannot hold all joint terms"
+    lacking = [
+        name
+        for name, value in percents.items()
+        if value > after and differ_relevantly(after, value)
+    ]
+    if not lacking:
+        return ""
+    others = [name for name in percents if name not in lacking]
+    errors = ", ".join(f"{name} alone errs by {percent(percents[name])}" for name in lacking)
+    text = f"{errors}: {'it' if len(lacking) == 1 else 'they'} cannot hold all joint terms"
+    return f"{text}; {' and '.join(others)} can" if others else text
 
 
 def percent_change(before: float, after: float) -> str:

@@ -10,7 +10,13 @@ from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.estimate_file import load_estimate
-from symbid_ros.estimation.fleet import Deviation, FleetEstimate, FleetMember, estimate_fleet
+from symbid_ros.estimation.fleet import (
+    LEAST_SPREAD,
+    Deviation,
+    FleetEstimate,
+    FleetMember,
+    estimate_fleet,
+)
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.loaded_problem import load_information
 from symbid_ros.identification.options import IdentifyOptions
@@ -154,6 +160,14 @@ def fleet_verdict(found: FleetEstimate) -> str:
         none = f"No robot differs from the others ({found.tests} links and joints tested)"
         return f"{none}; {_detectable(found)}"
     return "; ".join(map(describe_deviation, found.deviations))
+
+
+def spread_sizes(found: FleetEstimate) -> dict[str, str]:
+    """Return the spread of links and of each joint term, %; the least possible one as a bound."""
+    return {
+        name: f"{100 * size:.2g}" if size > LEAST_SPREAD else f"< {100 * LEAST_SPREAD:.2g}"
+        for name, size in found.spread.items()
+    }
 
 
 def detectable_changes(found: FleetEstimate) -> dict[str, float | None]:

@@ -46,7 +46,8 @@ from symbid_ros.signals.calibrating_rows import CalibratingRows
 SIGNED_DRIVES = (
     "the efforts contradict positive armature and friction of drives, so armature and viscous "
     "friction may be negative: torque sensors behind the gears do not feel the rotors, or other "
-    "effects act like these terms; models are written without negative ones"
+    "effects act like these terms, such as wrong link lengths in the model file; models are "
+    "written without negative ones"
 )
 
 

@@ -15,6 +15,7 @@ from symbid_ros.model.parameters import ParameterSet
 FEWEST_SLIPPING = 25
 # Share of a column's square that the other columns leave, below which they replace it.
 REPLACED = 1e-8
+ROUNDING = 1e-12  # largest column that counts as zero, relative to the largest of all
 
 
 def resting_joints(slipping: Observations | None, parameters: ParameterSet) -> BoolArray:
@@ -100,7 +101,11 @@ def inseparable_terms(
 
 
 def replaceable_terms(parameters: ParameterSet, free: BoolArray) -> tuple[str, ...]:
-    """Return the chosen terms that act exactly like inertial parameters, one sentence each."""
+    """Return the chosen terms that act exactly like inertial parameters, one sentence each.
+
+    Of several parameters that act alike, one with the term's unit is named, and the factor that is
+    nearest to one.
+    """
     count = parameters.inertial
     model = replace(parameters.model, contacts=None)
     parameters = replace(parameters, model=model)
@@ -113,17 +118,34 @@ def replaceable_terms(parameters: ParameterSet, free: BoolArray) -> tuple[str, .
     if not terms:
         return ()
     scale = np.linalg.norm(K, axis=0)
-    scale[scale == 0] = 1.0
+    is_zero = scale <= ROUNDING * scale.max()
+    K[:, is_zero], scale[is_zero] = 0.0, 1.0
     inertial = K[:, :count] / scale[:count]
     fit, *_ = np.linalg.lstsq(inertial, K[:, terms] / scale[terms], rcond=1e-10)
     rest = np.linalg.norm(inertial @ fit - K[:, terms] / scale[terms], axis=0)
     found = []
+    names, units = parameters.names, parameters.units
     for index, term in enumerate(terms):
         if rest[index] ** 2 > REPLACED:
             continue
-        alike = inertial.T @ (K[:, term] / scale[term])
-        partner = parameters.names[int(np.argmax(np.abs(alike)))]
+        cosine = inertial.T @ (K[:, term] / scale[term])
+        twins = np.flatnonzero(1 - cosine**2 <= REPLACED).tolist()
+        if not twins:
+            likest = names[int(np.argmax(np.abs(cosine)))]
+            found.append(
+                f"{names[term]} acts like a sum of parameters of links, {likest} among them; the "
+                "data cannot tell it from that"
+            )
+            continue
+        factors = cosine * scale[term] / scale[:count]
+        ranks = [(units[one] != units[term], abs(np.log(np.abs(factors[one])))) for one in twins]
+        twin = min(zip(ranks, twins, strict=True))[1]
+        factor = factors[twin]
+        combination = "their sum"
+        if not np.isclose(factor, 1.0):
+            sign = "−" if factor < 0 else "+"
+            combination = f"{names[twin]} {sign} {abs(factor):.3g} × {names[term]}"
         found.append(
-            f"{parameters.names[term]} acts like {partner}; the data determine their sum only"
+            f"{names[term]} acts like {names[twin]}; the data determine {combination} only"
         )
     return tuple(found)

@@ -64,7 +64,8 @@ def learning_figures(runs: Mapping[str, LearningRecord]) -> tuple[LearningFigure
                 "deviations",
                 "What the robot knows, and how far it moves",
                 "Standard deviations of the whole robot's mass and centre of mass, from the "
-                "covariance of all parameters, and the size of the moves that they allow.",
+                "covariance of all parameters, for sensors without an error in common, and the "
+                "size of the moves that they allow.",
                 _deviations(runs[LEARNING]),
             ),
         )

@@ -17,6 +17,7 @@ from symbid_ros.learning.lockstep import LearningRecord
 from symbid_ros.learning.model_update import ACCEPTED
 from symbid_ros.learning.stick_figure import AFTER, Actor, animation
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.report.formatting import with_std
 from symbid_ros.report.plotting import figure_style, inline_svg
 from symbid_ros.report.templates import page_template, shared_css
 from symbid_ros.simulation.scenario import SOLES
@@ -61,7 +62,7 @@ def event_text(record: LearningRecord, time: float, kind: str, text: str) -> str
     if kind == ACCEPTED:
         known = min(record.estimates, key=lambda one: abs(one.time - time))
         return (
-            f"takes over a model: mass {known.mass:.2f} ± {known.mass_std:.2g} kg, centre of mass "
+            f"takes over a model: mass {with_std(known.mass, known.mass_std)} kg, centre of mass "
             f"± {1e3 * known.com_std:.2g} mm"
         )
     return f"{kind}: {text}" if text else kind

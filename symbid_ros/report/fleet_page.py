@@ -4,7 +4,12 @@ import numpy as np
 
 from symbid_ros.estimation.fleet import FleetEstimate
 from symbid_ros.estimation.fleet_changes import LinkChange
-from symbid_ros.identification.fleet import describe_deviation, detectable_changes, fleet_verdict
+from symbid_ros.identification.fleet import (
+    describe_deviation,
+    detectable_changes,
+    fleet_verdict,
+    spread_sizes,
+)
 from symbid_ros.report.formatting import ABSENT, significant, with_std
 from symbid_ros.report.templates import page_template, shared_css
 
@@ -12,7 +17,7 @@ COLUMNS = "kg", "± kg", "one robot ± kg", "detectable"
 LEGEND = (
     "Each robot's column is the change of the whole link against the other robots, with its "
     f"standard deviation. Detectable: the smallest change that would be named with 90 % "
-    f"probability. {ABSENT}: the data do not show a change of this link."
+    f"probability in any of the robots. {ABSENT}: not even a link of twice the mass would be named."
 )
 
 
@@ -53,7 +58,7 @@ def render_fleet(found: FleetEstimate) -> str:
         columns=COLUMNS,
         changes=change_table(found),
         absent=ABSENT,
-        spread=[(name, f"{100 * size:.2g}") for name, size in found.spread.items()],
+        spread=list(spread_sizes(found).items()),
         deviations=deviations,
         parameters=parameters,
         tests=found.tests,

@@ -28,6 +28,7 @@ import typer.main
 import yaml
 from documented_robots import write_arm, write_inaccurate
 
+import symbid_ros
 from symbid_ros.cli.app import app
 from symbid_ros.ros.launch_arguments import launch_arguments
 
@@ -193,10 +194,19 @@ def checkout(tmp_path_factory, simulated) -> Path:
     """Return a folder with what the pages take for granted."""
     folder = tmp_path_factory.mktemp("checkout")
     (folder / "config").symlink_to(ROOT / "config")
-    (folder / "my_bag").symlink_to(simulated("smooth", moves=5, motion_seed=1))
+    copy_bag(simulated("smooth", moves=5, motion_seed=1), folder / "my_bag")
     write_inaccurate(ROOT / "config" / "symbitron.urdf", folder / "my_robot.urdf", seed=1)
     write_arm(folder)
     return folder
+
+
+def copy_bag(bag: Path, copy: Path) -> None:
+    """Copy a bag of one file, whose file gets the name of the copy, as recorders name it."""
+    copy.mkdir()
+    for file in bag.iterdir():
+        shutil.copy(file, copy / file.name.replace(bag.name, copy.name))
+    metadata = copy / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace(bag.name, copy.name))
 
 
 def test_the_pages_show_what_the_commands_printed() -> None:
@@ -406,3 +416,30 @@ def test_files_in_shell_commands_exist(command) -> None:
     variable = command.words.split()[1].split("=")[0]
     (value,) = re.findall(rf"^{variable}=(.*)", done.stdout, re.MULTILINE)
     assert not value.startswith("/") or Path(value).is_file()
+
+
+GENERATED = [
+    pytest.param(block, id=f"{block.page.name}: {block.language}")
+    for block in BLOCKS
+    if re.match(r"\{(options|schema|parameters|public-api)\} ", block.language)
+]
+
+
+@pytest.mark.parametrize("block", GENERATED)
+def test_what_only_the_site_shows_is_found_from_the_repository(block) -> None:
+    """GitHub shows the text of the block, the site a table."""
+    kind, name = re.match(r"\{(\S+)\} (.*)", block.language).groups()
+    (source, *_) = re.findall(r"`([^`]+)`", block.lines[0])
+    if kind == "options":
+        assert source == f"symbid {name} --help"
+        command = typer.main.get_command(app)
+        for word in name.split():
+            command = command.commands[word]
+    elif kind == "parameters" and source.startswith("ros2 param describe"):
+        assert source == f"ros2 param describe /{name} NAME"
+        assert name in NODES
+    elif kind == "public-api":
+        function = re.fullmatch(r"help\(symbid_ros\.(\w+)\)", source)[1]
+        assert getattr(symbid_ros, function).__doc__
+    else:
+        assert (ROOT / source).is_file()

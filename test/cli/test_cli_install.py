@@ -7,6 +7,8 @@ from documented_robots import ur5_urdf
 from json_schemas import require_valid
 from written_results import write_result
 
+from symbid_ros.cli.install import print_change
+from symbid_ros.identification.link_changes import Change, LinkChange, RobotChange
 from symbid_ros.model.load import load_model
 
 
@@ -41,6 +43,20 @@ def test_deviations_are_those_of_the_estimate(symbid_here, found) -> None:
         assert all(std > 0 for std in link["principal_inertia_kg_m2"]["std"])
     names = {term["name"] for term in told["joint_terms"]}
     assert "R_kfe/viscous" in names
+
+
+def test_a_star_marks_what_changed_where_nothing_is_bold(capsys) -> None:
+    def link(name: str, size: float) -> LinkChange:
+        std = (0.01 * size,) * 3
+        moments = Change((size, 2 * size, 2 * size), (size, 2.1 * size, 2 * size), std)
+        centre = Change((0.0, 0.1, 0.2), (0.0, 0.1, 0.21), (0.001,) * 3)
+        return LinkChange(name, Change((4.0,), (3.5,), (0.1,)), centre, moments, 5)
+
+    links = link("thigh", 0.2), link("foot", 0.001)
+    print_change(RobotChange("result", "robot", "map_lmi", links, ()))
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    marked = [" ".join(words[:-3]) for words in lines if len(words) > 3 and words[-2][0] == "*"]
+    assert marked == ["mass kg", "CoM z mm", "I2 g m²"] * 2  # one unit for small and large links
 
 
 def test_the_table_fits_a_narrow_terminal(symbid_here, found) -> None:

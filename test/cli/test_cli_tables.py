@@ -125,6 +125,11 @@ class TestMetricsTable:
         assert next(line for line in lines if "WLS-RC" in line).count(bold) == 5
         assert bold not in next(line for line in lines if "truth" in line)
 
+    def test_a_star_marks_the_best_where_nothing_is_bold(self) -> None:
+        starred = {line.split()[0]: line.count(" *") for line in self.printed().splitlines()[2:-2]}
+        assert starred.pop("WLS-RC") == 5
+        assert not any(starred.values())
+
     def test_a_missing_metric_is_a_dash(self) -> None:
         line = next(line for line in self.printed().splitlines() if "unmeasured" in line)
         assert line.split()[1:] == ["—"] * 5

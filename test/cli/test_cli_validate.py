@@ -63,6 +63,10 @@ def test_the_table_ends_with_a_verdict(symbid_here, ideal, found) -> None:
     assert verdict.endswith("on 6 s that were not used")
     for line in ("R_hfe", "base/force_z", "all joints", "total mass: ", "90 % interval"):
         assert line in ended.stdout
+    shown = re.search(r"the forces show (\S+) ± (\S+) kg, apart from a gain", ended.stdout)
+    value, std = shown.groups()
+    assert 0 < float(std) < 0.1
+    assert len(value.partition(".")[2]) == len(std.partition(".")[2])
 
 
 def test_a_result_that_is_not_better_ends_with_status_1(

@@ -65,7 +65,7 @@ def test_it_draws_every_limited_quantity_with_its_share_and_names_it(browser, pa
         assert used == pytest.approx(plan.usage()["acceleration"][0], abs=0.01)
         grey = page.tab.locator("tr.unknown").count()
         assert grey == np.count_nonzero(~plan.determined)
-        assert "rows of other parameters are grey" in page.tab.inner_text("main")
+        assert "Rows of other parameters are grey" in page.tab.inner_text("main")
 
 
 def test_it_shows_each_joint_and_each_parameter(browser, page_file, plan):

@@ -21,7 +21,7 @@ from symbid_ros.estimation.mass_scale import FORCE_SCALE_STD
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior import model_prior
 from symbid_ros.estimation.prior_std import body_covariance
-from symbid_ros.identification.fleet import fleet_of_results, fleet_verdict
+from symbid_ros.identification.fleet import fleet_of_results, fleet_verdict, spread_sizes
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.fleet_page import change_table, render_fleet
@@ -38,6 +38,11 @@ def test_the_heavier_link_is_named(draw) -> None:
     assert (found.robot, found.place) == (draw.robot, draw.link)
     assert found.relative == pytest.approx(HEAVIER - 1, abs=0.03)
     assert found.p_value < 1e-6
+
+
+def test_a_spread_that_the_data_do_not_show_is_a_bound(draw) -> None:
+    least = replace(draw.estimate, spread={"links": 0.0043, "load": 1e-4})
+    assert spread_sizes(least) == {"links": "0.43", "load": "< 0.01"}
 
 
 def test_the_fleet_knows_more_than_one_robot(draw) -> None:
@@ -89,7 +94,9 @@ def test_the_changes_of_all_robots_fit_a_screen_and_read_alike(draw, browser, tm
     assert rows[6][1] == rows[0][1]
 
 
-def gaussian_fleet(rng, shift: float) -> tuple[list[FleetMember], ParameterSet]:
+def gaussian_fleet(
+    rng, shift: float, *, hides_base: bool = False
+) -> tuple[list[FleetMember], ParameterSet]:
     """Return robots whose posteriors are drawn from the model that the estimate assumes."""
     parameters = ParameterSet(load_model(ur5_urdf(), "fixed"))
     prior = model_prior(parameters, 25.0)
@@ -104,6 +111,7 @@ def gaussian_fleet(rng, shift: float) -> tuple[list[FleetMember], ParameterSet]:
         truth[20:30] *= 1 + shift * (index == 0)
         # Measurements of every parameter to a hundredth of its prior deviation.
         precision = np.full(p, 1 / (0.01 * prior.std) ** 2)
+        precision[: 10 * hides_base] *= 1e-12
         measured = truth + rng.standard_normal(p) / np.sqrt(precision)
         total = precision + prior.std**-2
         mean = (precision * measured + prior.mean / prior.std**2) / total
@@ -122,6 +130,14 @@ def test_equal_robots_give_no_alarm_and_a_mean_within_its_deviation() -> None:
         scores.append(np.mean((error / found.common_std) ** 2))
     assert alarms == 0
     assert np.mean(scores) == pytest.approx(1.0, abs=0.3)
+
+
+def test_only_links_that_the_data_show_are_tested() -> None:
+    for hides_base in (False, True):
+        members, parameters = gaussian_fleet(np.random.default_rng(1), 0.0, hides_base=hides_base)
+        found = estimate_fleet(members, parameters)
+        assert found.tests == len(members) * (len(parameters.link_names) - hides_base)
+        assert (found.link_changes[0][0] is None) == hides_base
 
 
 def test_a_shifted_link_is_found_with_its_size() -> None:

@@ -1,9 +1,11 @@
 """Joint terms chosen by the data, against the drives that made the data."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from documented_robots import ur5_urdf
 from drive_logs import RATE, SECONDS, arm, drives, log_of, samples_of, slow_waves
 
 import symbid_ros as sy
@@ -14,6 +16,7 @@ from symbid_ros.estimation.group_moments import GROUPS, GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout, random_motions
 from symbid_ros.identification import solver_setup
 from symbid_ros.identification.joint_terms import choose_terms
+from symbid_ros.identification.term_remarks import replaceable_terms
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sampled_rows import slipping_coordinates, valid_coordinates
@@ -159,6 +162,30 @@ def test_armature_of_the_first_joint_is_named_as_inseparable():
     result = sy.identify(robot, log_of(robot, drives(robot, armature=0.3)), unchecked=True)
     first = f"{robot.joint_names[0]}/armature acts like "
     assert any(one.startswith(first) for one in result.estimate.remarks)
+
+
+def test_an_armature_is_named_beside_the_inertia_about_the_joints_axis():
+    parameters = ParameterSet(sy.load_model(ur5_urdf(), "fixed"), ("armature", "offset"))
+    pan, lift = replaceable_terms(parameters, np.ones(len(parameters), dtype=bool))
+    end = "; the data determine their sum only"
+    assert pan == f"shoulder_pan_joint/armature acts like shoulder_link/Izz{end}"
+    assert lift == f"shoulder_lift_joint/armature acts like upper_arm_link/Iyy{end}"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_combination_that_is_named_is_all_that_efforts_show(seed):
+    robot = arm(seed)
+    parameters = ParameterSet(robot, ("armature", "offset"))
+    remarks = replaceable_terms(parameters, np.ones(len(parameters), dtype=bool))
+    assert remarks
+    K = equation_of_motion(parameters, random_motions(robot, 20)).K.reshape(-1, len(parameters))
+    for remark in remarks:
+        stated = re.search(r"determine (\S+) ([+−]) (\S+) × (\S+) only", remark)
+        link, sign, factor, term = stated.groups()
+        # One more of the term, and as much less of the link's parameter: nothing changes.
+        columns = K[:, [parameters.names.index(name) for name in (link, term)]]
+        change = columns @ [float(sign.replace("−", "-") + factor), -1.0]
+        assert np.linalg.norm(change) < 0.01 * np.linalg.norm(columns[:, 1])
 
 
 def test_a_joint_that_moves_one_way_does_not_tell_coulomb_from_offset():

@@ -70,7 +70,12 @@ class TestRecommendation:
     def test_errors_of_files_that_hold_less_are_said(self):
         files = {"model.urdf": 4.5, "model.xml": 1.21}
         remark = recommend(estimate(file_percents=files)).remark
-        assert "model.urdf alone errs by 4.5 %, model.xml alone errs by 1.2 %" in remark
+        assert (
+            "model.urdf alone errs by 4.5 %: it cannot hold all joint terms; model.xml can"
+            in remark
+        )
+        both = recommend(estimate(file_percents={"model.urdf": 4.5, "model.xml": 3.0})).remark
+        assert "by 4.5 %, model.xml alone errs by 3 %: they cannot hold all joint terms" in both
         for small in (1.2, 0.1):
             files = {"model.urdf": small, "model.xml": 1.2}
             assert not recommend(estimate(file_percents=files)).remark
