@@ -14,8 +14,10 @@ from preloaded import PreloadedProcess
 from random_robots import random_robot
 from tree_simulation import TreeSimulation
 
+from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record
 
@@ -53,7 +55,9 @@ def test_a_legged_robot_from_a_bag(bag, tmp_path) -> None:
 
 def test_logs_are_merged(tmp_path) -> None:
     robot, model = random_robot(1, links=4, wrench_frames=1), tmp_path / "robot.xml"
-    model.write_text(mjcf_text(robot))
+    parameters = ParameterSet(robot)
+    drawn = draw_prior(parameters, "consistent", 25, 1)
+    model.write_text(mjcf_text(parameters.apply(drawn.mean)))
     bags = [tmp_path / "first", tmp_path / "second"]
     for seed, each in enumerate(bags):
         record(TreeSimulation(robot, 2.5, seed), each)

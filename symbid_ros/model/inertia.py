@@ -84,15 +84,14 @@ def second_moments(phi: FloatArray) -> FloatArray:
     return 0.5 * trace * np.eye(3) - inertia
 
 
-def ellipsoid_density(phi: FloatArray) -> float:
-    """Return the density of the ellipsoid with the inertia φ (10,), kg/m³; infinite if it is flat.
+def ball_density(phi: FloatArray) -> float:
+    """Return the density of the ball with the mass and the mean inertia of φ (10,), kg/m³.
 
-    Its semi-axes are √5 times the root-mean-square extents of the body along its principal axes.
+    It is infinite for a point, and at most that of a body with this inertia.
     """
     mass, _, central = com_from_phi(phi)
-    squares = np.linalg.eigvalsh(np.trace(central) / 2 * np.eye(3) - central) / mass
-    volume = 4 / 3 * np.pi * np.sqrt(np.prod(5 * np.maximum(squares, 0.0)))
-    return float(mass / volume) if volume > 0 else np.inf
+    square = max(float(np.trace(central)), 0.0) / 2 / mass  # mean square extent
+    return mass / (4 / 3 * np.pi * (5 / 3 * square) ** 1.5) if square > 0 else np.inf
 
 
 def pseudo_inertia(phi: FloatArray) -> FloatArray:

@@ -191,7 +191,7 @@ def test_information_about_another_robot(fails, good, tmp_path) -> None:
     layout = RowLayout.of(ParameterSet(load_model(tmp_path / "pendulum.urdf", "fixed")))
     path = tmp_path / "information.npz"
     write_archive(path, [Observations.empty(layout, window) for window in WINDOWS])
-    fails("information.npz", "different robots", **good | {"information": path})
+    fails("information.npz", "another robot", **good | {"information": path})
 
 
 def test_a_tare_without_wrenches(fails, good, copied_without, tmp_path) -> None:
