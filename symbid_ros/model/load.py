@@ -16,8 +16,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.urdf import load_urdf
 from symbid_ros.model.xml_file import as_element, read_xml
 
-# Ten times the density of the heaviest metals; half of a robot's links have 2e3 at most.
-DENSEST = 2e5  # kg/m³
+DENSEST = 2.3e4  # kg/m³, of osmium; half of a robot's links have 2e3 at most
 
 logger = logging.getLogger(__name__)
 
