@@ -166,7 +166,7 @@ class CandidateBuilder:
     def of(
         cls, build: RowBuilder, found: Identification, parameters: ParameterSet, segment: Segment
     ) -> "CandidateBuilder":
-        """Return the builder for candidates beside what was identified."""
+        """Return the builder that adds candidates to the unknowns that were identified."""
         # Terms that the data rejected need not be tried again.
         terms = () if found.estimate.joint_terms is not None else TERMS
         missing = tuple(term for term in terms if term not in parameters.terms)

@@ -79,8 +79,10 @@ def rms(error):
     return np.sqrt(np.mean(np.sum(error**2, axis=1)))
 
 
-@pytest.mark.parametrize("rows", [{}, {"filter": "savitzky_golay", "window": 0.011}], ids=str)
-def test_friction_of_the_model_file_is_used_and_kept(arm, rows, tmp_path, caplog):
+@pytest.mark.parametrize(
+    ("rows", "most"), [({}, 0.01), ({"filter": "savitzky_golay", "window": 0.011}, 0.03)], ids=str
+)
+def test_friction_of_the_model_file_is_used_and_kept(arm, rows, most, tmp_path, caplog):
     options = IdentifyOptions(joint_terms=("none",), **rows)
     prepared = BagRequest((arm / "log",), arm / "robot.urdf", options, base="fixed").load()
     assert "states viscous friction of joint1" in caplog.text
@@ -90,7 +92,7 @@ def test_friction_of_the_model_file_is_used_and_kept(arm, rows, tmp_path, caplog
     robot = load_model(arm / "robot.urdf", "fixed")
     motion = read_true_motion([arm / "other"], robot)
     true = motion.samples.effort
-    assert rms(torque_of_exported(robot, tmp_path, motion) - true) < 0.03 * rms(true)
+    assert rms(torque_of_exported(robot, tmp_path, motion) - true) < most * rms(true)
 
     # Predictions and metrics agree with the written model.
     estimated = load_estimated_model(tmp_path, robot)

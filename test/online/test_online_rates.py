@@ -37,7 +37,7 @@ def test_data_that_end_before_the_first_estimate_are_used(robot_and_bag) -> None
         InitialState.of(load_model(model), options), feed.selected, Pace(in_step=True)
     )
     feed.into(live)
-    list(live._scheduler.partial_blocks())  # pieces of blocks that are complete by now
+    list(live._scheduler.partial_blocks())  # the parts of blocks that have arrived
     live.advance()
     assert live.has_news
     outcome = live.solve()
