@@ -7,6 +7,7 @@ information (errors in variables). Σ is the covariance of the residuals at the 
 x are computed alternately. The factor of the data suffices for that, without a second pass.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -248,6 +249,20 @@ class _Square:
         G, g = moment[:-1, :-1], moment[:-1, -1]
         return cls(G, g, noise[:-1, :-1], noise[:-1, -1], covariance, rows)
 
+    def turned(self, axes: FloatArray) -> "_Square":
+        """Return the square of the coordinates along orthonormal axes, the columns (p, p)."""
+        rows = self.rows
+        if rows is not None:
+            rows = np.column_stack([rows[:, :-1] @ axes, rows[:, -1]])
+        return replace(
+            self,
+            G=axes.T @ self.G @ axes,
+            g=axes.T @ self.g,
+            T=axes.T @ self.T @ axes,
+            t=axes.T @ self.t,
+            rows=rows,
+        )
+
     def minimum(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return x (p,) and the factor R (p, p) of the precision."""
         found = self._from_moments(scale) if self.rows is None else None
@@ -367,6 +382,15 @@ class _Square:
         return PriorEvidence(values[:, None] * Vt, np.clip(pull, -most, most))
 
 
+def _principal(kinds: Sequence[FloatArray], sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the axes (m, m) and deviations (m,) of errors of several kinds, of these sizes."""
+    if len(kinds) == 1:
+        return np.eye(len(kinds[0])), np.full(len(kinds[0]), sizes[0])
+    wide = np.hstack([size * root for size, root in zip(sizes, kinds, strict=True)])
+    axes, deviations, _ = np.linalg.svd(wide, full_matrices=False)
+    return axes, deviations
+
+
 def posterior(
     observations: Observations,
     prior: Prior,
@@ -391,7 +415,7 @@ def posterior(
         Further constraints with uncertainty, such as a weighing.
     empirical : bool
         Whether the evidence chooses a common factor on the prior's deviations, or one for each
-        kind of error if the prior knows two.
+        kind of error if the prior knows several.
     count : int, optional
         Number of leading parameters whose deviations the evidence judges, those of the links.
         All by default. Those of ``prior.payloads`` are not judged.
@@ -406,9 +430,9 @@ def posterior(
     """
     mean = prior.mean
     count = len(mean) if count is None else count
-    has_two = empirical and prior.alone is not None
     judged = prior.judged(count)
-    L, share = prior.kinds_of_errors(judged)
+    kinds = prior.kinds_of_errors(judged) if empirical else []
+    L, axes = prior.covariance_factor(), np.eye(len(mean))
     # As few residuals as these may be the prior's errors or noise, above all at rest: if all were
     # noise, the prior would seem exact.
     is_few = observations.rows.samples <= len(observations.rows.layout.coordinates)
@@ -427,17 +451,15 @@ def posterior(
             correlation=correlation,
         )
         if empirical:
-            evidence = square.evidence(judged)
-            if has_two:
-                logs = evidence.two_scales(share, logs)
-                if is_few:
-                    logs = np.maximum(logs, 0.0)
-                scale[judged] = np.sqrt(np.exp(2 * logs) @ (share, 1 - share))
-            else:
-                common = evidence.common_scale()
-                scale[judged] = max(common, 1.0) if is_few else common
+            logs = square.evidence(judged).scales(kinds, logs)
+            if is_few:
+                logs = np.maximum(logs, 0.0)
+            axes[np.ix_(judged, judged)], scale[judged] = _principal(kinds, np.exp(logs))
+            if len(kinds) > 1:
+                square = square.turned(axes)
         before = x
         x, factor = square.minimum(scale)
+        x, factor = axes @ x, factor @ axes.T
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
         is_rounding = 0.5 * last < change < ROUNDING
         if not coarse and (change < tolerance or is_rounding):
@@ -447,7 +469,8 @@ def posterior(
         if approximate and not coarse:
             break
     phi = mean + L @ x
-    chosen = prior.with_root(L * scale) if has_two else prior.widened(scale)
+    turned = L @ axes
+    chosen = prior.with_root(turned * scale) if len(kinds) > 1 else prior.widened(scale)
     unseen = square.unseen(scale)
     precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)
     return Posterior(
@@ -459,5 +482,5 @@ def posterior(
         noise_share=square.noise_share(scale),
         chosen_scale=float(np.sqrt(np.mean((chosen.std / prior.std)[judged] ** 2))),
         is_scaled=empirical,
-        unseen=None if unseen is None else L @ unseen,
+        unseen=None if unseen is None else turned @ unseen,
     )

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, solve_triangular
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import PriorError
@@ -17,6 +17,7 @@ from symbid_ros.estimation.prior_std import (
     link_floor,
     percent_floor,
     percent_std,
+    sized_std,
     stated_covariance,
     term_scale,
 )
@@ -32,6 +33,8 @@ Kind = Literal["percent", "absolute", "consistent", "separate"]
 
 # Half-width of the prior of a model file without a prior of its own, %.
 DEFAULT_PERCENT = 25.0
+# Deviation of parts that a file lacks, as a share of that of the other errors.
+MISSING_PARTS = 0.1
 # Smallest share of a deviation that must remain given all parameters before it.
 _CERTAINTY = 1e-10
 
@@ -62,10 +65,10 @@ class Prior:
         Parameters whose deviation is a default, because neither file nor user gives one.
     payloads : tuple of str
         Inertias of links beyond wrist sensors, whose deviations allow for any payload.
-    alone : (p,) float64 or None
-        Deviation of each number by itself, if the covariance is that of two kinds of errors of
-        unknown sizes: links that are other bodies, and numbers that are wrong by themselves. None
-        if the sizes are known, or there is one kind.
+    alone : (k, p) float64 or None
+        Deviations of each number by itself, if the covariance is a sum over kinds of errors of
+        unknown sizes: links that are other bodies, and k kinds of numbers that are wrong by
+        themselves. None if the sizes are known, or there is one kind.
 
     Raises
     ------
@@ -108,21 +111,22 @@ class Prior:
         """
         return np.flatnonzero([name not in self.payloads for name in self.names[:count]])
 
-    def kinds_of_errors(self, judged: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return a square root (p, p) of the covariance, and a share (k,) of its columns.
+    def kinds_of_errors(self, judged: IntArray) -> list[FloatArray]:
+        """Return a root (m, m) of each kind's covariance, in units of the columns of ``factor``.
 
-        Errors along different columns are independent, whatever the sizes of the two kinds of
-        errors in the ``judged`` parameters (k,), which do not depend on the others. The share is
-        that of links that are other bodies in the column's variance.
+        They are those of the ``judged`` parameters (m,), which do not depend on the others. That
+        of links that are other bodies is the first, and the only one if there is one kind.
         """
-        root = self.covariance_factor()
+        whole = np.eye(len(judged))
         if self.alone is None:
-            return root, np.ones(len(judged))
-        root, alone = root.copy(), self.alone[judged, None]
-        own = np.ix_(judged, judged)
-        V, ratio, _ = np.linalg.svd(root[own] / alone)
-        root[own] = alone * V * ratio
-        return root, 1 - np.minimum(1 / ratio**2, 1.0)
+            return [whole]
+        own = self.covariance_factor()[np.ix_(judged, judged)]
+        numbers = [
+            solve_triangular(own, np.diag(deviations), lower=True)
+            for deviations in self.alone[:, judged]
+        ]
+        squares, V = np.linalg.eigh(whole - sum(root @ root.T for root in numbers))
+        return [V * np.sqrt(np.maximum(squares, 0.0)), *numbers]
 
     def widened(self, scale: FloatArray) -> "Prior":
         """Return the prior with column i of its covariance factor times ``scale[i]``."""
@@ -145,7 +149,7 @@ class Prior:
         factor = None
         if self.factor is not None:
             factor = _triangular(self.factor[index])
-        alone = None if self.alone is None else self.alone[index]
+        alone = None if self.alone is None else self.alone[:, index]
         mean, std = self.mean[index], self.std[index]
         return replace(self, names=names, mean=mean, std=std, factor=factor, alone=alone)
 
@@ -172,8 +176,8 @@ class Prior:
             root[~held, len(self.names) :] = np.diag(std)[~held]
             factor = _triangular(root)
         if self.alone is not None:
-            alone = own.std.copy()
-            alone[held] = self.alone[index]
+            alone = np.tile(own.std, (len(self.alone), 1))
+            alone[:, held] = self.alone[:, index]
         added = tuple(name for name in own.assumed if name not in place)
         assumed = *(name for name in self.assumed if name in names), *added
         return replace(
@@ -194,13 +198,16 @@ class Prior:
         if self.factor is not None or factor is not None:
             own = np.diag(std) if factor is None else factor
             factor = block_diag(self.covariance_factor(), own)
+        alone = self.alone
+        if alone is not None:
+            alone = np.hstack([alone, np.tile(std, (len(alone), 1))])
         return replace(
             self,
             names=self.names + names,
             mean=np.concatenate([self.mean, mean]),
             std=np.concatenate([self.std, std]),
             factor=factor,
-            alone=None if self.alone is None else np.concatenate([self.alone, std]),
+            alone=alone,
         )
 
 
@@ -265,11 +272,13 @@ def default_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) ->
     """Return a prior around a model file of which nobody says how good it is.
 
     A link may be another body than in the file: another shape, as with :func:`consistent_prior`, or
-    of another mass, centre of mass and central inertia. And each parameter may be wrong by itself,
-    as with :func:`model_prior`. Their covariances add up, because each alone is far too certain of
-    a file with another kind of error: a wrong mass beside a right inertia contradicts the first
-    kind, and a centre of mass beside the file's axis the last. The data can tell the size of the
-    error of bodies and of single parameters, see
+    of another mass, centre of mass and central inertia. Each parameter may be wrong by itself, as
+    with :func:`model_prior`. And small parts may be missing anywhere within the link's extent, such
+    as a motor in a thin leg, which moves centres of mass beside the file's axis and tilts principal
+    axes. The covariances add up, because each alone is far too certain of a file with another kind
+    of error: a wrong mass beside a right inertia contradicts the first kind, and a product of
+    inertia that the file puts at zero the second. The data tell the size of the error of bodies, of
+    single parameters and of missing parts, see
     :func:`~symbid_ros.estimation.posterior.posterior`.
 
     Raises
@@ -283,9 +292,12 @@ def default_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) ->
     for index, phi in enumerate(parameters.link_phi(parameters.values)):
         own = slice(10 * index, 10 * index + 10)
         variances[own, own] += stated_covariance(phi, percent / 100)
-    alone = model_prior(parameters, percent).std
+    shares = np.array(
+        [model_prior(parameters, percent).std, MISSING_PARTS * sized_std(parameters, percent)]
+    )
+    alone = np.where(np.arange(len(parameters)) < parameters.inertial, shares, prior.std)
     links = np.arange(parameters.inertial)
-    variances[links, links] += alone[links] ** 2
+    variances[links, links] += np.sum(alone[:, links] ** 2, axis=0)
     std = np.sqrt(np.diag(variances))
     factor = std[:, None] * np.linalg.cholesky(variances / np.outer(std, std))
     kind = f"model, default {percent:g}"

@@ -1,10 +1,10 @@
 """How far to trust a prior: factors on its deviations that make the data most probable."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cho_solve, cholesky
 
 from symbid_ros.arrays import FloatArray
 
@@ -16,6 +16,9 @@ RATIO_STD = 2.0
 # Deviation of the logarithm of a factor below one. Without it, data that hold one or two
 # directions, in which the stated values happen to be right, would call all values exact.
 NARROWING_STD = 1.0
+# Deviation of the logarithm of the factor on errors of a third kind. They can explain all that the
+# others do, so the data must ask for them.
+PARTS_STD = 1.0
 # Newton steps of the search for these factors at most, the longest and the shortest in their
 # logarithms, and by how much the cost must still fall.
 SEARCH_STEPS, LONGEST_STEP, SHORTEST_STEP, LEAST_FALL = 50, 1.0, 1e-9, 1e-12
@@ -54,39 +57,50 @@ class PriorEvidence:
         best = min(grid, key=lambda point: cost(point)[0])
         return float(np.exp(_minimum(cost, best)[0]))
 
-    def two_scales(self, share: FloatArray, start: FloatArray | None = None) -> FloatArray:
-        """Return the logarithms (2,) of the factors λ and μ on two kinds of errors.
+    def scales(self, kinds: Sequence[FloatArray], start: FloatArray | None = None) -> FloatArray:
+        """Return the logarithms (k,) of the factors on the deviations of several kinds of errors.
 
-        The variance of x_i is s_i λ² + (1 - s_i) μ². The factors maximise the evidence times a
-        prior of their ratio, without which data that hold few directions of one kind would make it
-        vanish.
+        The covariance of x is the sum of those of all kinds. The factors maximise the evidence
+        times a prior: of the ratio of the first two, without which data that hold few directions of
+        one kind would make it vanish, and of the third.
 
         Parameters
         ----------
-        share : (count,) float64
-            s, the share of the first kind.
-        start : (2,) float64, optional
+        kinds : sequence of (count, m) float64
+            A root of each kind's covariance.
+        start : (k,) float64, optional
             Where to begin; at the common factor by default.
         """
+        count = len(kinds)
+        if count == 1:
+            return np.log([self.common_scale()])
         if start is None:
-            start = np.full(2, np.log(self.common_scale()))
-        shares, ratio = np.array([share, 1 - share]), np.array([1.0, -1.0]) / RATIO_STD
+            common = np.full(count, np.log(self.common_scale()))
+            starts = [common, np.where(np.arange(count) < 2, common, 0.0)]
+        else:
+            starts = [start]
+        moments = np.array([rows @ rows.T for rows in (self.A @ root for root in kinds)])
+        ratio = np.array([[1.0, -1.0] + [0.0] * (count - 2)]) / RATIO_STD
+        precision = ratio.T @ ratio + np.diag([0.0, 0.0] + [1 / PARTS_STD**2] * (count - 2))
+        narrow = np.array([1.0, 1.0] + [0.0] * (count - 2)) / NARROWING_STD**2
 
         def cost(logs: FloatArray) -> _Cost:
-            variances = np.exp(2 * logs)[:, None] * shares
-            C = cholesky((self.A * variances.sum(axis=0)) @ self.A.T + np.eye(len(self.b)))
-            Z = solve_triangular(C, np.column_stack([self.A, self.b]), trans="T")
-            Z, z = Z[:, :-1], Z[:, -1]
-            Q, q = Z.T @ Z, Z.T @ z
-            value = 2 * np.log(C.diagonal()).sum() + z @ z + (ratio @ logs) ** 2
-            gradient = 2 * variances @ (Q.diagonal() - q**2)
-            curvature = Q * (2 * np.outer(q, q) - Q)
-            bend = 2 * np.diag(gradient) + 4 * variances @ curvature @ variances.T
-            gradient = gradient + 2 * (ratio @ logs) * ratio
-            bend = bend + 2 * np.outer(ratio, ratio)
-            return _with_narrowing(logs, (float(value), gradient, bend))
+            variances = np.exp(2 * logs)
+            C = cholesky(np.eye(len(self.b)) + np.tensordot(variances, moments, 1), lower=True)
+            solved = cho_solve((C, True), np.column_stack([*moments, self.b]))
+            z = solved[:, -1]
+            spread = np.array(np.split(solved[:, :-1], count, axis=1))  # S⁻¹ M
+            pulls = moments @ z
+            away = precision @ logs + narrow * np.minimum(logs, 0.0)
+            value = 2 * np.log(C.diagonal()).sum() + self.b @ z + logs @ away
+            gradient = 2 * variances * (np.trace(spread, axis1=1, axis2=2) - pulls @ z)
+            curvature = 2 * pulls @ (spread @ z).T - np.einsum("iab,jba->ij", spread, spread)
+            bend = 2 * np.diag(gradient) + 4 * np.outer(variances, variances) * curvature
+            bend += 2 * precision + np.diag(np.where(logs < 0, 2 * narrow, 0.0))
+            return float(value), gradient + 2 * away, bend
 
-        return _minimum(cost, start)
+        found = [_minimum(cost, one) for one in starts]
+        return min(found, key=lambda logs: cost(logs)[0])
 
 
 def _with_narrowing(logs: FloatArray, cost: _Cost) -> _Cost:

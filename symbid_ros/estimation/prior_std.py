@@ -135,20 +135,28 @@ def stated_covariance(phi: FloatArray, half_width: float) -> FloatArray:
 
 
 def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:
-    """Return 1 % of the deviation that a value of the link's scale {m, mℓ, mℓ²} would have.
+    """Return 1 % of :func:`sized_std`.
+
+    The floor makes zeros in the file uncertain. It is small, so that small true values keep their
+    own scale.
+    """
+    return _FLOOR * sized_std(parameters, percent)
+
+
+def sized_std(parameters: ParameterSet, percent: float) -> FloatArray:
+    """Return the deviations (p,) of a uniform ± percent of each link's scale {m, mℓ, mℓ²}.
 
     ℓ is the link's root-mean-square extent about its origin. The scale of a joint term is
-    ``JOINT_TERMS[...].std``. The floor makes zeros in the file uncertain. It is small, so that
-    small true values keep their own scale.
+    ``JOINT_TERMS[...].std``.
     """
-    unit = _FLOOR * percent / 100 / np.sqrt(3)
-    floor = np.empty(len(parameters))
-    floor[parameters.inertial :] = unit * term_scale(parameters)
+    unit = percent / 100 / np.sqrt(3)
+    std = np.empty(len(parameters))
+    std[parameters.inertial :] = unit * term_scale(parameters)
     for index, phi in enumerate(parameters.link_phi(parameters.values)):
         mass, extent = abs(phi[0]) or _BARE_MASS, link_extent(phi) or _BARE_EXTENT
         scale = np.repeat([mass, mass * extent, mass * extent**2], [1, 3, 6])
-        floor[10 * index : 10 * index + 10] = unit * scale
-    return floor
+        std[10 * index : 10 * index + 10] = unit * scale
+    return std
 
 
 def link_extent(phi: FloatArray) -> float:

@@ -116,12 +116,16 @@ class Solver:
     posterior: Posterior
 
     @classmethod
-    def of(cls, problem: Problem, *, is_trial: bool = False) -> "Solver":
-        """Choose the most informative window length and compute its posterior.
+    def of(
+        cls, problem: Problem, *, is_trial: bool = False, window: float | None = None
+    ) -> "Solver":
+        """Compute the posterior of the most informative window length, or of a given one, s.
 
         A trial, of which only the predictions are compared with data, needs fewer digits.
         """
-        best, near = WindowComparison(problem).finish()
+        every = problem.observations
+        usable = tuple(one for one in every if window in (None, one.window)) or every
+        best, near = WindowComparison(replace(problem, observations=usable)).finish()
         start = None if near is None else near.mean
         tolerance = TRIAL if is_trial else CONVERGED
         found, best = _solve(problem, best, start, tolerance, approximate=is_trial)

@@ -169,9 +169,8 @@ def _with_chosen_terms(
         rows = tuple(one for one in problem.observations if window in (None, one.window))
         some = replace(problem, observations=rows)
         choice = choose_terms(some if gained is None else with_fixed_gains(some))
-        if gained is not None:
-            some = without_terms(some, gained, choice.free)
-        return replace(choice.applied(some), choice=choice)
+        rest = problem if gained is None else without_terms(problem, gained, choice.free)
+        return replace(choice.applied(rest), choice=choice)
 
     solver = Solver.of(with_terms(), is_trial=is_trial)
     choice = solver.problem.choice
@@ -179,8 +178,9 @@ def _with_chosen_terms(
         return solver
     # Noise may spoil the rows of short windows for all candidates together, and not for the chosen
     # ones. Rows that are used choose the terms as well.
-    again = replace(with_terms(solver.chosen.window), stored=solver.problem.stored)
-    return Solver.of(again, is_trial=is_trial)
+    window = solver.chosen.window
+    again = replace(with_terms(window), stored=solver.problem.stored)
+    return Solver.of(again, is_trial=is_trial, window=window)
 
 
 def _with_couplings(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:

@@ -16,7 +16,12 @@ from symbid_ros.estimation import posterior as production
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
 from symbid_ros.estimation.prior import default_prior
-from symbid_ros.estimation.prior_scales import NARROWING_STD, RATIO_STD, PriorEvidence
+from symbid_ros.estimation.prior_scales import (
+    NARROWING_STD,
+    PARTS_STD,
+    RATIO_STD,
+    PriorEvidence,
+)
 
 few = settings(max_examples=8, deadline=None)
 seeds = st.integers(0, 10**6)
@@ -191,7 +196,7 @@ def test_one_direction_does_not_narrow_the_prior_of_all():
     """The stated value happens to be right in the only direction that the data know."""
     known = PriorEvidence(np.array([[1000.0, 0.0, 0.0]]), np.zeros(1))
     assert 0.3 < known.common_scale() < 1.0
-    logs = known.two_scales(np.array([0.5, 0.5, 0.5]))
+    logs = known.scales([np.sqrt(0.5) * np.eye(3)] * 2)
     assert np.all((np.exp(logs) > 0.3) & (np.exp(logs) < 1.0))
     # Many such directions are evidence.
     assert PriorEvidence(1000.0 * np.eye(50), np.zeros(50)).common_scale() < 0.1
@@ -261,15 +266,16 @@ def test_an_empirical_prior_is_as_wide_as_the_evidence_says(beyond):
     assert 0.5 < scale[0] / 7 < 1.8
 
 
-@pytest.mark.parametrize("sizes", [(1.0, 4.0), (50.0, 1.0), (0.1, 0.1)])
+@pytest.mark.parametrize("sizes", [(1.0, 4.0, 1.0), (50.0, 1.0, 10.0), (0.1, 0.1, 50.0)])
 def test_each_kind_of_error_gets_the_size_that_the_evidence_says(sizes):
-    """The two factors are the most probable ones given all rows at once."""
+    """The factors are the most probable ones given all rows at once."""
     log = gaussian_log(11, count=40)
     stated = default_prior(log.parameters)
-    bodies = stated.factor @ stated.factor.T - np.diag(stated.alone**2)
+    numbers = [np.diag(each**2) for each in stated.alone]
+    kinds = [stated.factor @ stated.factor.T - sum(numbers), *numbers]
 
     def sized(logs):
-        covariance = np.exp(2 * logs[0]) * bodies + np.diag((np.exp(logs[1]) * stated.alone) ** 2)
+        covariance = np.tensordot(np.exp(2 * np.asarray(logs)), kinds, 1)
         std = np.sqrt(np.diag(covariance))
         root = std[:, None] * np.linalg.cholesky(covariance / np.outer(std, std))
         return replace(stated, std=std, factor=root, alone=None)
@@ -280,9 +286,9 @@ def test_each_kind_of_error_gets_the_size_that_the_evidence_says(sizes):
     found = posterior(log.observations(), stated, empirical=True)
 
     def cost(logs):
-        ratio = (logs[0] - logs[1]) / RATIO_STD
+        ratio, parts = (logs[0] - logs[1]) / RATIO_STD, logs[2] / PARTS_STD
         likely = log_evidence(log, sized(logs), None, found.covariance, 1.0)
-        return narrowing(logs) + ratio**2 / 2 - likely
+        return narrowing(logs[:2]) + ratio**2 / 2 + parts**2 / 2 - likely
 
     best = minimize(cost, np.log(sizes), method="Nelder-Mead", options={"xatol": 1e-4})
     expected = sized(best.x)

@@ -23,7 +23,7 @@ from symbid_ros.estimation.prior import (
     model_prior,
 )
 from symbid_ros.estimation.prior_file import load_prior, write_prior
-from symbid_ros.estimation.prior_std import percent_floor, stated_covariance
+from symbid_ros.estimation.prior_std import percent_floor, sized_std, stated_covariance
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import (
@@ -114,22 +114,24 @@ def test_the_default_prior_expects_all_kinds_of_wrong_files(symbitron, kind):
     assert largest**2 < 2.5
 
 
-def test_errors_along_the_columns_are_independent_whatever_the_size_of_each_kind(symbitron):
+def test_the_covariance_is_a_sum_over_kinds_of_errors(symbitron):
     extended = default_prior(symbitron, 25).extended(("x/gain",), np.ones(1), np.full(1, 0.1))
     count = symbitron.inertial
-    root, share = extended.kinds_of_errors(extended.judged(count))
-    alone = np.diag(extended.alone[:count] ** 2)
-    bodies = consistent_prior(symbitron, 25).factor[:count, :count]
+    kinds = extended.kinds_of_errors(extended.judged(count))
     stated = [stated_covariance(phi, 0.25) for phi in symbitron.link_phi(symbitron.values)]
-    scale = np.sqrt(np.diag(extended.factor @ extended.factor.T))[:count]
-    for sizes in ((1.0, 1.0), (3.0, 0.2), (0.0, 1.0)):
-        expected = sizes[0] ** 2 * (bodies @ bodies.T + block_diag(*stated)) + sizes[1] ** 2 * alone
-        factors = np.sqrt(sizes[0] ** 2 * share + sizes[1] ** 2 * (1 - share))
-        found = (root[:count, :count] * factors) @ (root[:count, :count] * factors).T
-        np.testing.assert_allclose(
-            found / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-12
-        )
-    np.testing.assert_array_equal(root[count:], extended.factor[count:])
+    bodies = consistent_prior(symbitron, 25).factor[:count, :count]
+    links = slice(count)
+    alone = model_prior(symbitron, 25).std[links], 0.1 * sized_std(symbitron, 25)[links]
+    covariances = [
+        bodies @ bodies.T + block_diag(*stated),
+        *(np.diag(each**2) for each in alone),
+    ]
+    L = extended.factor[:count, :count]
+    scale = np.linalg.norm(L, axis=1)
+    for kind, covariance in zip(kinds, covariances, strict=True):
+        found = L @ kind / scale[:, None]
+        expected = covariance / np.outer(scale, scale)
+        np.testing.assert_allclose(found @ found.T, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("points", [1, 2, 3])

@@ -14,7 +14,7 @@ from symbid_ros.estimation.constraints import total_mass_row
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.posterior import CONVERGED, posterior
-from symbid_ros.estimation.prior import Prior, draw_prior, model_prior
+from symbid_ros.estimation.prior import Prior, default_prior, draw_prior
 from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
@@ -295,7 +295,7 @@ def test_the_evidence_recovers_the_scale_of_the_prior(whole, scale):
 def test_the_prior_of_an_exact_model_shrinks(folder, symbitron):
     prepared = load(folder, "second", prior=None)
     estimate = prepared.solve("map").estimate
-    believed = model_prior(symbitron, 25)
+    believed = default_prior(symbitron, 25)
     assert np.all(prepared.solver.posterior.prior.std < 0.5 * believed.std)
     assert np.abs((estimate.value - symbitron.values) / believed.std).max() < 0.5
 
