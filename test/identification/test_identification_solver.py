@@ -300,6 +300,16 @@ def test_the_prior_of_an_exact_model_shrinks(folder, symbitron):
     assert np.abs((estimate.value - symbitron.values) / believed.std).max() < 0.5
 
 
+def test_rows_of_a_given_window_are_solved_and_compared_with_the_others(whole):
+    problem = whole.solver.problem
+    for one in problem.observations:
+        solver = Solver.of(problem, window=one.window)
+        assert solver.chosen.window == one.window
+        assert solver.whiteness > 0
+        alone = Solver.of(replace(problem, observations=(one,))).posterior
+        assert np.abs((solver.posterior.mean - alone.mean) / alone.std).max() < 1e-5
+
+
 @pytest.mark.parametrize("samples", [40, 400])
 def test_white_residuals_raise_no_alarm_however_short_the_log(samples):
     """Coordinates share noise, as base and joints do for one plate."""
