@@ -22,9 +22,7 @@ from symbid_ros.package_paths import config_file
 
 DEADLINE = 300.0  # s; only a hang takes as long
 NODES = {"identifier", "recorder", "monitor", "mujoco_bridge"}
-
-
-AT_THE_LIMIT = 2
+AT_THE_LIMIT = 2  # parameters that are just determined, or just not
 
 
 def test_the_estimates_converge_and_are_reported(tmp_path: Path, monkeypatch) -> None:
