@@ -325,10 +325,18 @@ def predictive_effects(
             if before == 0:
                 continue
             more = free.copy()
-            columns = list(effect.columns)
-            more[columns] = True
-            if np.any(_conditional(found, more)[0][list(effect.positive)] < 0):
-                continue
+            more[list(effect.columns)] = True
+            positive = np.array(effect.positive, dtype=np.int64)
+            negative = positive[_conditional(found, more)[0][positive] < 0]
+            if len(negative):
+                # Of friction, one term may do: another resembles it, as Stribeck's does Coulomb's.
+                left = np.setdiff1d(positive, negative)
+                more[negative] = False
+                is_friction = len(positive) == len(effect.columns)
+                if not (is_friction and len(left)):
+                    continue
+                if np.any(_conditional(found, more)[0][left] < 0):
+                    continue
             gain = 1 - error(effect, more) / before
             if gain > most:
                 best, most, best_free = name, gain, more

@@ -441,7 +441,8 @@ def test_readings_in_unknown_units_are_predicted_as_well(name, capsys, monkeypat
         if line.startswith(("| least squares", "| symbid")):
             title, *_, overall = line.strip("| ").split(" | ")
             errors[title.partition(" ")[0]] = float(overall)
-    assert errors["symbid,"] < 1.05 * errors["least"]
+    # Only with the drive that joints 5 and 6 share is the TX40 predicted far better.
+    assert errors["symbid,"] < (0.5 if name == "tx40" else 1.05) * errors["least"]
 
 
 def test_the_commands_shown_identify_a_public_log(monkeypatch, tmp_path) -> None:
