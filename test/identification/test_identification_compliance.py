@@ -72,7 +72,7 @@ def test_the_links_are_right_only_with_compliance(robot, elastic):
     assert not rigid.estimate.verdict.sensors
     bent, wrong = (np.mean(errors_of_determined(one, robot) ** 2) for one in (found, rigid))
     assert bent < 2.0
-    assert wrong > 2.5
+    assert wrong > 5.0
 
 
 def test_rigid_joints_have_no_compliance(robot):
