@@ -324,19 +324,9 @@ def predictive_effects(
             before = 0.0 if name in taken else error(effect, free)
             if before == 0:
                 continue
-            more = free.copy()
-            more[list(effect.columns)] = True
-            positive = np.array(effect.positive, dtype=np.int64)
-            negative = positive[_conditional(found, more)[0][positive] < 0]
-            if len(negative):
-                # Of friction, one term may do: another resembles it, as Stribeck's does Coulomb's.
-                left = np.setdiff1d(positive, negative)
-                more[negative] = False
-                is_friction = len(positive) == len(effect.columns)
-                if not (is_friction and len(left)):
-                    continue
-                if np.any(_conditional(found, more)[0][left] < 0):
-                    continue
+            more = _with_effect(found, free, effect)
+            if more is None:
+                continue
             gain = 1 - error(effect, more) / before
             if gain > most:
                 best, most, best_free = name, gain, more
@@ -344,6 +334,28 @@ def predictive_effects(
             return tuple(taken)
         taken.append(best)
         free = best_free
+
+
+def _with_effect(found: Posterior, free: BoolArray, effect: Effect) -> BoolArray | None:
+    """Return the free parameters (p,) with an effect; None if what must be positive is not.
+
+    If all columns must be positive, as those of friction, one may do without the others: a part of
+    them resembles other terms, as Coulomb friction does Stribeck friction.
+    """
+    columns, positive = np.array(effect.columns), np.array(effect.positive, dtype=np.int64)
+
+    def some(used: IntArray) -> tuple[BoolArray, IntArray]:
+        """Return the free parameters with some columns, and those of them that are negative."""
+        more = free.copy()
+        more[used] = True
+        of_sign = np.intersect1d(used, positive)
+        return more, of_sign[_conditional(found, more)[0][of_sign] < 0]
+
+    more, negative = some(columns)
+    if len(negative) and len(positive) == len(columns):
+        more, negative = some(np.setdiff1d(columns, negative))
+    added = np.any(more & ~free)
+    return more if added and not len(negative) else None
 
 
 def _conditional(found: Posterior, unknowns: BoolArray) -> tuple[FloatArray, FloatArray]:

@@ -121,7 +121,8 @@ class Solver:
     ) -> "Solver":
         """Compute the posterior of the most informative window length, or of a given one, s.
 
-        A trial, of which only the predictions are compared with data, needs fewer digits.
+        If that one has no rows, all are compared. A trial, of which only the predictions are
+        compared with data, needs fewer digits.
         """
         every = problem.observations
         usable = tuple(one for one in every if window in (None, one.window)) or every

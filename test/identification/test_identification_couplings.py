@@ -56,6 +56,20 @@ def test_a_coupling_is_found(found, label):
     assert found.estimate.holdout.percent_after < 1.0
 
 
+def test_a_shared_drive_with_friction_of_another_shape_is_found(robot, label):
+    """Friction that grows with the square of the speed: Coulomb friction would be negative."""
+
+    def quadratic(velocity, acceleration):
+        speed = velocity @ DRIVE
+        return (VISCOUS * speed * np.abs(speed))[:, None] * DRIVE
+
+    log = log_of(robot, drives(robot, viscous=0.4, coulomb=0.8), extra=quadratic)
+    found = sy.identify(robot, log, unchecked=True)
+    assert "viscous" in found.estimate.joint_terms[label]
+    assert "coulomb" not in found.estimate.joint_terms[label]
+    assert found.estimate.holdout.percent_after < 5.0
+
+
 def test_a_named_coupling_is_identified(robot, log, label):
     result = sy.identify(robot, log, unchecked=True, no_holdout=True, coupling=label)
     is_right(result, label)
