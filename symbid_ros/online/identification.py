@@ -14,9 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.diagnosis.findings import Finding
-from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
-from symbid_ros.diagnosis.wrist_evidence import check_signs
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.observations import Observations
@@ -29,15 +26,13 @@ from symbid_ros.identification.accumulator import (
     TimeSpan,
     build_block_rows,
 )
-from symbid_ros.identification.assumed_contacts import leg_ends
 from symbid_ros.identification.change_monitor import Change, ChangeMonitor
-from symbid_ros.identification.problem import Problem, Truncation, check_weight
+from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.tares import Tare
 from symbid_ros.identification.window_comparison import WindowSelector
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import BOOL
-from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker
 from symbid_ros.online.changed_priors import ChangedPriors
@@ -47,15 +42,14 @@ from symbid_ros.online.live_calibration import FEW, MOST_KEPT, LiveCalibration
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.live_terms import LiveTerms
 from symbid_ros.online.message_check import MessageCheck
+from symbid_ros.online.weight_check import WeightCheck, setup_fault
 from symbid_ros.signals.alignment import joint_columns
 from symbid_ros.signals.calibrating_rows import CalibratingRows
-from symbid_ros.signals.streams import Slice
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suitable_windows
 
 logger = logging.getLogger(__name__)
 
 RECENT_FAULTS = 10
-UNIT_TIME = 2_000_000_000  # ns of messages whose units are checked
 POSTURE_TIME = 50_000_000  # ns; every part of a robot publishes its joints within this time
 
 
@@ -132,7 +126,8 @@ class OnlineIdentification:
             )
             for topic in selected.all
         }
-        self.setup_fault = _setup_fault(selected, model)
+        self.setup_fault = setup_fault(selected, model)
+        self._weight = WeightCheck(self._parameters, self.streams, self.setup_fault)
         self._posterior: Posterior | None = None
         # With the number of blocks from which it was found.
         self._is_coupled: tuple[int, bool] | None = None
@@ -528,34 +523,7 @@ class OnlineIdentification:
 
     def _check_weight(self, shortest: Observations) -> None:
         if not self._options.unchecked:
-            check_weight(
-                shortest.rows, self._parameters, self._problem.prior, self._cause_of_wrong_weight
-            )
-            check_signs(shortest.rows, self._parameters)
-
-    def _cause_of_wrong_weight(self) -> str:
-        """Return why the measured forces may not carry the robot's weight, and what to do."""
-        if self.setup_fault:
-            return "no wrench sensor is in use"
-        units = "; ".join(one.message for one in self._wrong_units())
-        return units or (
-            "publish the wrench of every contact, check units (N, m/s², rad) and signs, or set "
-            "`unchecked`"
-        )
-
-    def _wrong_units(self) -> Sequence[Finding]:
-        """Return the findings about units in the newest messages that make a log unusable."""
-        stop = self.streams.complete_until
-        if stop is None:
-            return ()
-        start = stop - UNIT_TIME
-        try:
-            streams = self.streams.between(start, stop + 1)
-        except SymbidError:  # reported with its block
-            return ()
-        checks = StreamChecks(self._parameters.model)
-        checks.take(Slice(start, stop + 1, streams, {}, ()))
-        return unusable(checks.unit_findings())
+            self._weight.require(shortest, self._problem.prior)
 
     def _identify(self, solver: Solver, *, with_verdict: bool) -> Identification:
         method = self._options.method
@@ -564,14 +532,3 @@ class OnlineIdentification:
         if method == "map":
             return solver.map(with_verdict=with_verdict)
         return solver.truncated(method, Truncation(self._options.rank))
-
-
-def _setup_fault(selected: SelectedTopics, model: RobotModel) -> str:
-    """Return what a floating base lacks if no wrench is measured and no contact is named."""
-    if not model.floating or model.contacts is not None or selected.wrenches:
-        return ""
-    feet = ",".join(f"{name}:point" for name in leg_ends(model)) or "FRAME:point,..."
-    return (
-        "no wrench sensor is in use, so that the forces on the robot are unknown; name what "
-        f"touches the ground as `contact` {feet}, or start the drivers of the wrench sensors"
-    )
