@@ -136,7 +136,13 @@ def identify(
 
 def evaluate(
     estimate: Annotated[Path, typer.Argument(help="Folder of an identification, or a prior.json.")],
-    model: Annotated[Path, typer.Option(help="Model with the true parameters, URDF or MJCF.")],
+    truth: Annotated[
+        Path,
+        typer.Option(
+            help="Model with the true parameters, URDF or MJCF, as of `symbid simulate "
+            "--true-model`."
+        ),
+    ],
     bag: Annotated[list[Path], typer.Option(help="Ideal bag with ground truth. Repeatable.")],
     realistic: Annotated[
         list[Path] | None,
@@ -150,64 +156,63 @@ def evaluate(
         float,
         typer.Option(help="Cutoff of the velocity filter for --realistic, Hz; 0 for no filter."),
     ] = 50.0,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="File to write the errors to.")
-    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object instead of tables.")
+    ] = False,
     base: BaseKind = "auto",
 ) -> None:
     """Compute the errors of an estimate or a prior from the ground truth of a simulated bag.
 
     Joints with Coulomb friction do not count in errors of forces while they may stick.
     """
-    from symbid_ros.atomic_write import check_output_file, write_text
     from symbid_ros.cli.tables import errors_table
+    from symbid_ros.identification.evaluation import check_true_robot, sticking_share
     from symbid_ros.identification.evaluation import evaluate as evaluate_ideal
-    from symbid_ros.identification.evaluation import sticking_share
     from symbid_ros.identification.intervals import LEVEL, summarise_intervals
     from symbid_ros.identification.realistic_prediction import evaluate_realistic
     from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.identification.rigid_sensors import RigidSensors
-    from symbid_ros.json_documents import is_document, versioned
+    from symbid_ros.json_documents import versioned
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
     from symbid_ros.signals.filters import CausalLowPass
 
     low_pass = CausalLowPass(velocity_cutoff)
-    if json_file is not None:
-        check_output_file(json_file, lambda path: is_document(path, "evaluation"))
-    robot = load_model(model, base)
+    robot = load_model(truth, base)
     robot.require_mass()
     estimated = load_estimated_model(estimate, robot)
     rigid = RigidSensors.of(estimated.parameters)
     parameters, values = rigid.parameters, rigid.matrix @ estimated.values
-    truth = rigid.matrix @ estimated.parameters.values
+    true_values = rigid.matrix @ estimated.parameters.values
     internal = estimated.parameters.model.wrist_sensors
     motion = read_true_motion(bag, robot, internal)
+    check_true_robot(robot, motion)
     noisy = read_realistic_motion(realistic, robot, low_pass, internal) if realistic else None
-    ideal = asdict(evaluate_ideal(parameters, {"": values}, truth, motion)[""])
-    sticking = 100 * sticking_share(parameters, truth, motion)
+    ideal = asdict(evaluate_ideal(parameters, {"": values}, true_values, motion)[""])
+    sticking = 100 * sticking_share(parameters, true_values, motion)
     errors: dict[str, object] = {**ideal, "sticking_pct": sticking}
     tables = [errors_table("", ideal)]
     if estimated.deviation_factor is not None:
         summary = asdict(
             summarise_intervals(
-                parameters, values, rigid.matrix @ estimated.deviation_factor, truth, motion
+                parameters, values, rigid.matrix @ estimated.deviation_factor, true_values, motion
             )
         )
         errors["intervals"] = summary
         tables.append(errors_table(f"{100 * LEVEL:g} % intervals", summary))
     if noisy is not None:
-        predicted = asdict(evaluate_realistic(parameters, {"": values}, truth, noisy)[""])
+        predicted = asdict(evaluate_realistic(parameters, {"": values}, true_values, noisy)[""])
         errors["realistic"] = predicted
         tables.append(errors_table("from noisy sensors", predicted))
+    if as_json:
+        typer.echo(json.dumps(versioned("evaluation", errors), indent=1))
+        return
     Console().print(*tables, sep="\n")
     if sticking:
         typer.echo(
             f"{sticking:.2g} % of the joints' instants are left out of errors of forces: a joint "
             "with Coulomb friction may stick there, and no model predicts its effort"
         )
-    if json_file is not None:
-        write_text(json_file, json.dumps(versioned("evaluation", errors), indent=1) + "\n")
 
 
 @with_flags
@@ -256,6 +261,7 @@ def report(
     Results of one robot may differ in method, log and joint terms.
     """
     from symbid_ros.atomic_write import check_output_file
+    from symbid_ros.identification.evaluation import check_true_robot
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import load_bag, read_realistic_motion, read_true_motion
     from symbid_ros.progress import report as step
@@ -294,9 +300,9 @@ def report(
                 if realistic
                 else None
             )
-            ground_truth = GroundTruth(
-                read_true_motion(bag, true_robot, internal), true_robot, noisy
-            )
+            motion = read_true_motion(bag, true_robot, internal)
+            check_true_robot(true_robot, motion)
+            ground_truth = GroundTruth(motion, true_robot, noisy)
         names = labels(folders, [one.estimate for one in found])
         metadata = {} if recording is None else describe_given(recording)
         step("drawing the report")

@@ -12,7 +12,7 @@ from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.choices import Base
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.provenance import Provenance, option_values
-from symbid_ros.identification.evaluation import Metrics, TrueMotion, true_motion
+from symbid_ros.identification.evaluation import Metrics, TrueMotion, check_true_robot, true_motion
 from symbid_ros.identification.evaluation import evaluate as evaluate_candidates
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
 from symbid_ros.identification.options import IdentifyOptions, PayloadSource
@@ -296,6 +296,7 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
         )
     paths = [bags] if isinstance(bags, str | Path) else bags
     motion = read_true_motion([Path(one) for one in paths], robot, divided.wrist_sensors)
+    check_true_robot(robot, motion)
     rigid = RigidSensors.of(parameters)
     candidates = {"result": rigid.matrix @ estimate.value}
     truth = rigid.matrix @ parameters.values

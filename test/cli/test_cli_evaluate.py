@@ -13,6 +13,7 @@ from symbid_ros.estimation.archive import load_deviation_factor
 from symbid_ros.identification.evaluation import Metrics
 from symbid_ros.identification.intervals import summarise_intervals
 from symbid_ros.identification.realistic_prediction import RealisticMetrics
+from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import read_true_motion
@@ -42,16 +43,12 @@ def found(symbid_here, model, short, prior, tmp_path_factory):
     return out
 
 
-def test_an_estimate_with_covariance_has_intervals(
-    symbid_here, model, ideal, found, tmp_path
-) -> None:
-    file = tmp_path / "figures.json"
-    ended = symbid_here(
-        "evaluate", found / "map_lmi", "--model", model, "--bag", ideal, "--json", file
-    )
-    assert (ended.returncode, ended.stderr) == (0, "")
-    assert "90 % intervals" in ended.stdout
-    intervals = json.loads(file.read_text())["intervals"]
+def test_an_estimate_with_covariance_has_intervals(symbid_here, model, ideal, found) -> None:
+    command = ("evaluate", found / "map_lmi", "--truth", model, "--bag", ideal)
+    shown = symbid_here(*command)
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert "90 % intervals" in shown.stdout
+    intervals = json.loads(symbid_here(*command, "--json").stdout)["intervals"]
     estimate = json.loads((found / "map_lmi" / "estimate.json").read_text())["parameters"]
     parameters = ParameterSet.of_names(load_model(model), tuple(estimate))
     expected = summarise_intervals(
@@ -62,19 +59,15 @@ def test_an_estimate_with_covariance_has_intervals(
         read_true_motion([ideal], parameters.model),
     )
     assert intervals == pytest.approx(asdict(expected))
-    assert all(f"{value:.4g}" in ended.stdout for value in intervals.values())
+    assert all(f"{value:.4g}" in shown.stdout for value in intervals.values())
 
 
-def test_an_estimate_without_covariance_has_none(
-    symbid_here, model, ideal, found, tmp_path
-) -> None:
-    file = tmp_path / "figures.json"
-    ended = symbid_here(
-        "evaluate", found / "wls_rc", "--model", model, "--bag", ideal, "--json", file
-    )
+def test_an_estimate_without_covariance_has_none(symbid_here, model, ideal, found) -> None:
+    command = ("evaluate", found / "wls_rc", "--truth", model, "--bag", ideal)
+    ended = symbid_here(*command)
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "intervals" not in ended.stdout
-    assert "intervals" not in json.loads(file.read_text())
+    assert "intervals" not in json.loads(symbid_here(*command, "--json").stdout)
 
 
 def test_a_page_without_truth_shows_what_was_found(
@@ -144,29 +137,28 @@ def test_invalid_report_requests_are_one_line_errors(
 
 
 def test_realistic_predictions_come_beside_the_ideal_ones(
-    symbid_here, model, short, ideal, prior, tmp_path
+    symbid_here, model, short, ideal, prior
 ) -> None:
-    plain, both = tmp_path / "plain.json", tmp_path / "both.json"
-    command = ("evaluate", prior, "--model", model, "--bag", ideal)
-    ended = symbid_here(*command, "--json", plain)
-    assert "from noisy sensors" not in ended.stdout
-    ended = symbid_here(*command, "--realistic", short, "--json", both)
-    assert (ended.returncode, ended.stderr) == (0, "")
-    assert "from noisy sensors" in ended.stdout
-    figures = json.loads(both.read_text())
+    command = ("evaluate", prior, "--truth", model, "--bag", ideal)
+    plain = symbid_here(*command)
+    assert "from noisy sensors" not in plain.stdout
+    both = symbid_here(*command, "--realistic", short)
+    assert (both.returncode, both.stderr) == (0, "")
+    assert "from noisy sensors" in both.stdout
+    figures = json.loads(symbid_here(*command, "--realistic", short, "--json").stdout)
     require_valid("evaluation", figures)
     realistic = figures.pop("realistic")
-    assert figures == json.loads(plain.read_text())
+    assert figures == json.loads(symbid_here(*command, "--json").stdout)
     names = {field.name for field in fields(Metrics)}
     assert set(figures) == {"schema_version", "sticking_pct", *names}
     assert set(realistic) == {field.name for field in fields(RealisticMetrics)}
-    assert all(f"{value:.4g}" in ended.stdout for value in realistic.values())
+    assert all(f"{value:.4g}" in both.stdout for value in realistic.values())
 
 
 def test_bags_unsuitable_for_predictions_are_one_line_errors(
     symbid_here, model, short, ideal, prior, copied_without, tmp_path
 ) -> None:
-    command = ("evaluate", prior, "--model", model, "--bag", ideal, "--realistic")
+    command = ("evaluate", prior, "--truth", model, "--bag", ideal, "--realistic")
     no_imu = copied_without(short, tmp_path / "bag", "imu")
     for options, named in (
         ((no_imu,), "Imu"),
@@ -176,3 +168,20 @@ def test_bags_unsuitable_for_predictions_are_one_line_errors(
         assert ended.returncode == 2
         assert named in ended.stderr
         assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["evaluate", "report"])
+def test_a_nominal_model_is_not_taken_for_the_truth(
+    symbid_here, model, ideal, found, tmp_path, command
+) -> None:
+    nominal = tmp_path / "nominal.urdf"
+    robot = load_model(model)
+    nominal.write_text(urdf_text(robot.with_phi(1.01 * robot.phi)))
+    given = (command, found / "map_lmi", "--bag", ideal)
+    out = ("--out", tmp_path / "page.html") if command == "report" else ()
+    ended = symbid_here(*given, "--truth", nominal, *out)
+    assert ended.returncode == 0
+    words = " ".join(ended.stderr.split())
+    assert f"{nominal.name} leaves 1 % of the bag's forces unexplained" in words
+    assert symbid_here(*given, "--truth", model, *out).stderr == ""
+    assert symbid_here(*given, "--truth", model, "--quiet", *out).stderr == ""

@@ -86,12 +86,12 @@ def test_a_missing_model(fails, good) -> None:
 @pytest.mark.parametrize(
     "command",
     [
-        ("identify", "BAG", "--out", "OUT"),
-        ("identify", "BAG", "--out", "OUT", "--unchecked"),
-        ("bag", "doctor", "BAG"),
-        ("init", "--bag", "BAG", "--out", "OUT"),
-        ("evaluate", "OUT", "--bag", "BAG"),
-        ("excite", "--base", "fixed", "--out", "OUT"),
+        ("identify", "BAG", "--out", "OUT", "--model"),
+        ("identify", "BAG", "--out", "OUT", "--unchecked", "--model"),
+        ("bag", "doctor", "BAG", "--model"),
+        ("init", "--bag", "BAG", "--out", "OUT", "--model"),
+        ("evaluate", "OUT", "--bag", "BAG", "--truth"),
+        ("excite", "--base", "fixed", "--out", "OUT", "--model"),
     ],
     ids=" ".join,
 )
@@ -100,7 +100,7 @@ def test_a_model_without_any_inertia(symbid_here, short, tmp_path, command) -> N
     text = config_file("symbitron.urdf").read_text()
     bare.write_text(re.sub("<inertial>.*?</inertial>", "", text, flags=re.DOTALL))
     paths = {"BAG": short, "OUT": tmp_path / "out"}
-    ended = symbid_here(*(paths.get(word, word) for word in command), "--model", bare)
+    ended = symbid_here(*(paths.get(word, word) for word in command), bare)
     assert ended.returncode == 2
     (line,) = ended.stderr.splitlines()
     assert line.startswith(f"symbid: {bare}: the model has no mass; give each moving link")

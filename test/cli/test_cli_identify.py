@@ -49,10 +49,9 @@ def truncated(symbid_here, model, short, ideal, prior, tmp_path_factory) -> Path
 
 
 @pytest.fixture(scope="module")
-def before(symbid_here, model, ideal, prior, tmp_path_factory) -> dict[str, float]:
+def before(symbid_here, model, ideal, prior) -> dict[str, float]:
     """Return what the prior itself is worth."""
-    out = tmp_path_factory.mktemp("before") / "out.json"
-    return evaluated(symbid_here, prior, model, ideal, out)
+    return evaluated(symbid_here, prior, model, ideal)
 
 
 def identified(symbid, bag: Path, model: Path, out: Path, *options: object) -> dict[str, Any]:
@@ -69,18 +68,18 @@ def identified(symbid, bag: Path, model: Path, out: Path, *options: object) -> d
     return document
 
 
-def evaluated(symbid, subject: Path, model: Path, bag: Path, out: Path) -> dict[str, float]:
-    ended = symbid("evaluate", subject, "--model", model, "--bag", bag, "--json", out)
+def evaluated(symbid, subject: Path, model: Path, bag: Path) -> dict[str, float]:
+    ended = symbid("evaluate", subject, "--truth", model, "--bag", bag, "--json")
     assert (ended.returncode, ended.stderr) == (0, "")
-    document = json.loads(out.read_text())
+    document = json.loads(ended.stdout)
     require_valid("evaluation", document)
     return document
 
 
 def test_identification_beats_the_prior_on_every_metric(
-    symbid_here, model, ideal, before, found, tmp_path
+    symbid_here, model, ideal, before, found
 ) -> None:
-    after = evaluated(symbid_here, found, model, ideal, tmp_path / "after.json")
+    after = evaluated(symbid_here, found, model, ideal)
     assert set(after) >= METRICS
     assert all(after[name] < before[name] for name in METRICS)
 
@@ -132,7 +131,7 @@ def test_a_truncated_method_chooses_z_on_a_bag_or_by_itself(
     for each in (chosen, document):
         assert 1 <= each["rank"] < len(each["parameters"])
         assert each["verdict"] is None
-    after = evaluated(symbid_here, tmp_path / "out", model, ideal, tmp_path / "after.json")
+    after = evaluated(symbid_here, tmp_path / "out", model, ideal)
     assert all(after[name] < before[name] for name in METRICS - {"parameter_error_pct"})
 
 
@@ -176,7 +175,7 @@ def test_a_log_is_not_counted_twice(symbid_here, model, short, found, part, tmp_
 def test_the_equation_of_motion_closes_on_an_ideal_bag(symbid_here, model, ideal, tmp_path) -> None:
     exact = tmp_path / "exact.json"
     symbid_here("prior", "--model", model, "--percent", 1e-9, "--seed", 0, "--out", exact)
-    metrics = evaluated(symbid_here, exact, model, ideal, tmp_path / "metrics.json")
+    metrics = evaluated(symbid_here, exact, model, ideal)
     assert metrics["gen_force_rmse"] <= 1e-3
     assert metrics["com_position_rmse_mm"] <= 1e-6
 

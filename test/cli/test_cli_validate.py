@@ -46,10 +46,10 @@ def test_percentages_agree_with_an_evaluation_against_the_truth(
     measured = np.sqrt(np.mean(np.sum(effort**2, axis=1)))
     assert figures["torque"]["measured"] == pytest.approx(measured, rel=0.01)
     for subject, when in ((prior, "before"), (found, "after")):
-        file = tmp_path / "figures.json"
-        options = ("--model", model, "--bag", ideal, "--json", file)
-        assert symbid_here("evaluate", subject, *options).returncode == 0
-        torque = json.loads(file.read_text())["torque_rmse"]
+        options = ("--truth", model, "--bag", ideal, "--json")
+        evaluated = symbid_here("evaluate", subject, *options)
+        assert evaluated.returncode == 0
+        torque = json.loads(evaluated.stdout)["torque_rmse"]
         assert figures[f"percent_{when}"] == pytest.approx(100 * torque / measured, rel=0.05)
     assert figures["advice"] == "better"
     assert figures["mass"]["measured_kg"] == pytest.approx(41.05, abs=0.02)

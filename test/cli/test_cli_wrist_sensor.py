@@ -87,10 +87,10 @@ def truth(folder):
 
 def test_the_ground_truth_judges_the_arm_with_its_payload(document, folder, truth, symbid_here):
     model, bag = truth
-    given = "--model", model, "--bag", bag, "--json", folder / "errors.json"
+    given = "--truth", model, "--bag", bag, "--json"
     ended = symbid_here("evaluate", folder / "out", *given)
     assert (ended.returncode, ended.stderr) == (0, "")
-    found = json.loads((folder / "errors.json").read_text())
+    found = json.loads(ended.stdout)
     effort = rms(payload_arm_log(load_model(ur5_urdf()), "tool0", seconds=1.0).effort)
     assert found["torque_rmse"] < 0.01 * effort
     assert 0.7 < found["intervals"]["torque_coverage"] <= 1
