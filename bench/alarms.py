@@ -40,9 +40,9 @@ from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.holdout import identify_with_holdout
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.pipeline import identify_problem
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -466,7 +466,7 @@ def identified(
         if options.no_holdout:
             result = problem.solve()
         else:
-            _, result = identify_with_holdout(problem)
+            _, result = identify_problem(problem)
     except SymbidError as error:
         return [f"refused: {error}"], "– | –"
     estimate = result.estimate

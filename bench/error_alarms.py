@@ -28,10 +28,9 @@ from numpy.typing import NDArray
 from sensor_errors import MODEL, WEIGHED, Bench
 from threadpoolctl import threadpool_limits
 
-from symbid_ros.estimation.directions import determined_directions
+from symbid_ros.estimation.directions import DETERMINED, determined_directions
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.prior_file import load_prior
-from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.parameters import ParameterSet

@@ -33,10 +33,9 @@ from threadpoolctl import threadpool_limits
 
 from symbid_ros.bags import bag_log, read_streams, read_truth
 from symbid_ros.choices import METHODS
-from symbid_ros.estimation.directions import determined_directions
+from symbid_ros.estimation.directions import DETERMINED, determined_directions
 from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.prior_file import write_prior
-from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.evaluation import TrueMotion, evaluate
 from symbid_ros.identification.intervals import HALF_WIDTH, summarise_intervals
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem

@@ -1,4 +1,4 @@
-"""Every error that a user can cause has a code, which docs/errors.md explains."""
+"""docs/errors.md explains each error that a user can cause, by its code, and each alarm."""
 
 import pickle
 import re
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import symbid_ros
 from symbid_ros.errors import SymbidError
+from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.signals.defects import Defect, DefectError
 
 PACKAGE = Path(symbid_ros.__file__).parent
@@ -18,6 +19,15 @@ def test_the_codes_in_use_are_those_that_are_documented() -> None:
     rows = [line for line in PAGE.read_text().splitlines() if "SYMBID-" in line]
     cells = [re.fullmatch(r"\| `SYMBID-(E\d{3})` \| .+\. \| .+\. \|", row) for row in rows]
     assert [cell and cell[1] for cell in cells] == used  # each once, in order
+
+
+def test_each_kind_of_alarm_is_explained() -> None:
+    page = PAGE.read_text()
+    section = page[page.index("## Alarms") : page.index("## Change alarms")]
+    explained = " ".join(section.lower().split())
+    assert [kind for kind in Alarm if kind not in explained] == []
+    texts = "\n".join(path.read_text() for path in PACKAGE.rglob("*.py"))
+    assert [kind for kind in Alarm if f"{{Alarm.{kind.name}}}" not in texts] == []  # none is unused
 
 
 def test_an_error_is_printed_with_its_code() -> None:

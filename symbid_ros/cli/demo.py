@@ -227,8 +227,8 @@ def _identify_offline(
     from symbid_ros.estimation.provenance import command_line
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing
-    from symbid_ros.identification.holdout import identify_with_holdout
     from symbid_ros.identification.options import IdentifyOptions
+    from symbid_ros.identification.pipeline import identify_problem
     from symbid_ros.identification.result_files import write_identification
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import (
@@ -252,7 +252,7 @@ def _identify_offline(
     progress.advance(task)
     by_windows = BagRequest((out / "bag",), model, options).load()
     progress.advance(task)
-    _, chosen = identify_with_holdout(by_windows)
+    _, chosen = identify_problem(by_windows)
     found: dict[str, tuple[str, Identification]] = {
         METHOD_TITLES[method]: (method, by_thesis.solve(method)) for method in METHODS
     }

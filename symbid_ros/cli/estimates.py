@@ -99,7 +99,7 @@ def identify(
     from symbid_ros.atomic_write import require_no_files
     from symbid_ros.cli.tables import print_estimate
     from symbid_ros.estimation.provenance import command_line
-    from symbid_ros.identification.holdout import identify_with_holdout
+    from symbid_ros.identification.pipeline import identify_problem
     from symbid_ros.identification.result_files import (
         CALIBRATED,
         RESULT_FILES,
@@ -113,7 +113,7 @@ def identify(
         request = request.completed()
         with progress_shown():
             problem = request.load(out)
-            problem, found = identify_with_holdout(problem)
+            problem, found = identify_problem(problem)
     else:
         from symbid_ros.cluster.connection import connected
         from symbid_ros.cluster.log_job import ClusterRequest
@@ -123,7 +123,7 @@ def identify(
             distributed = ClusterRequest(tuple(map(bag_location, bags)), request)
             with progress_shown():
                 problem = distributed.load(cluster, out)
-                problem, found = identify_with_holdout(problem)
+                problem, found = identify_problem(problem)
                 found = distributed.attributed(cluster, found)
     found = request.attributed(found, command_line(), () if robot is None else (robot,))
     kinematics = problem.options.export_kinematics

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from symbid_ros.cli.fitted_tables import print_table, written_files
 from symbid_ros.cli.flags import flag
-from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.excitation.files import FILES
 from symbid_ros.excitation.page import closest_links, contacts_used
 from symbid_ros.excitation.plan import ExcitationPlan

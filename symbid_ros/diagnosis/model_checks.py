@@ -37,7 +37,7 @@ from symbid_ros.diagnosis.stance_gyro_check import (
     is_usable,
     mounting_findings,
 )
-from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.weak_form import INFLATION
 

@@ -10,6 +10,9 @@ from symbid_ros.errors import EstimateError, PriorError
 from symbid_ros.model.inertia import PARAMETERS
 
 # Condition number above which the prior's covariance is numerically singular.
+# A parameter or direction is determined if the data say more about it than the prior, which halves
+# the variance. This is the largest ratio of standard deviations.
+DETERMINED = 1 / np.sqrt(2)
 _CONDITION = 1e12
 # Smallest loading that is printed, relative to the largest one.
 _WORTH_READING = 0.2
@@ -80,6 +83,22 @@ class DeterminedDirections:
         largest = np.argsort(-np.abs(loading), kind="stable")[:terms]
         worth = np.abs(loading[largest]) >= _WORTH_READING * abs(loading[largest[0]])
         return " ".join(f"{loading[k]:+.2f} {self.names[k]}" for k in largest[worth])
+
+
+def determines_any(prior_factor: FloatArray, posterior_factor: FloatArray) -> bool:
+    """Return whether the data determine any direction, from factors with p rows."""
+    prior, after = square_factor(prior_factor), square_factor(posterior_factor)
+    std = np.linalg.norm(prior, axis=1)[:, None]
+    # The smallest singular value is the smallest ratio of standard deviations.
+    return bool(np.linalg.norm(np.linalg.solve(prior / std, after / std), -2) < DETERMINED)
+
+
+def square_factor(factor: FloatArray) -> FloatArray:
+    """Return a square factor (p, p) of the covariance that a factor with p rows has."""
+    if factor.shape[0] == factor.shape[1]:
+        return factor
+    triangle = np.asarray(np.linalg.qr(factor.T, mode="r"), dtype=np.float64)
+    return triangle.T
 
 
 def determined_directions(

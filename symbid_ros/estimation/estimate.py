@@ -6,8 +6,9 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import TERMS, Channels, Filter
+from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.provenance import Provenance
-from symbid_ros.estimation.verdict import WRONG_FACTORS, Verdict
+from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.ripple import RIPPLE_TERM
@@ -216,10 +217,10 @@ class Estimate:
             return False
         if verdict.unexplained and verdict.unexplained[0].share > LARGEST_SHARE:
             return False
-        widened = verdict.is_prior_scaled and verdict.prior_scale > verdict.largest_prior_scale
-        has_factors = any(WRONG_FACTORS in alarm for alarm in verdict.alarms)
-        identified = has_factors and bool(verdict.describe_drive_gains())
-        return len(verdict.alarms) == widened + verdict.is_coloured + identified
+        spared = [Alarm.WIDENED_PRIOR, Alarm.COLOURED]
+        if verdict.describe_drive_gains():
+            spared.append(Alarm.WRONG_FACTORS)
+        return all(any(kind in alarm for kind in spared) for alarm in verdict.alarms)
 
     @property
     def fixed(self) -> frozenset[str]:

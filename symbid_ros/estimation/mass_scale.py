@@ -64,7 +64,7 @@ def weighing_residual(
     if measurements is None or not measurements.has_weighing:
         return None
     row, target = measurements.rows[0], float(measurements.targets[0])
-    std = 1 / float(row.max())
+    std = measurements.weighing_std
     felt = posterior.independent_factor.T @ row
     # The leverage is close to one if only the weighing knows the mass.
     leverage = min(float(felt @ felt), 1 - 1e-9)

@@ -25,9 +25,8 @@ from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import Joint
 
-# Terms of friction's curve over speed, the number of speeds at which it must not be negative, and
-# the largest of these in root mean squares of the speed, which a joint seldom exceeds.
-CURVE: tuple[Term, ...] = ("viscous", "coulomb", "stribeck")
+# Number of speeds at which a joint's friction must not be negative, and the largest of these in
+# root mean squares of the speed, which a joint seldom exceeds.
 SPEEDS, FASTEST = 4, 2.0
 # Probability of efforts that contradict positive signs by chance.
 CHANCE = 1e-4

@@ -61,6 +61,11 @@ class PseudoMeasurements:
     targets: FloatArray
     has_weighing: bool = False
 
+    @property
+    def weighing_std(self) -> float:
+        """Standard deviation of the weighing, kg; 0 without one."""
+        return 1 / float(self.rows[0].max()) if self.has_weighing else 0.0
+
 
 def stacked(
     rows: PseudoMeasurements | None, more: PseudoMeasurements | None

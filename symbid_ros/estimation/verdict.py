@@ -1,4 +1,4 @@
-"""Verdict on an estimate: what the log determined, and alarms that warn against trusting it."""
+"""Verdict on an estimate: what the log determined, and how far that can be trusted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,37 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.alarms import (
+    SUSPICIOUS_MODEL_SCALE,
+    SUSPICIOUS_SCALE,
+    Alarm,
+    is_coloured,
+)
 from symbid_ros.estimation.base_parameters import base_parameters
-from symbid_ros.estimation.directions import determined_directions
-from symbid_ros.estimation.mass_scale import weighing_residual
-from symbid_ros.estimation.posterior import Posterior, PseudoMeasurements
-from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
+from symbid_ros.estimation.directions import DETERMINED, determined_directions, square_factor
+from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_drift import final_drifts
-
-# A parameter or direction is determined if the data say more about it than the prior, which halves
-# the variance. This is the largest ratio of standard deviations.
-DETERMINED = 1 / np.sqrt(2)
-
-# Largest factor on the prior's deviations by evidence. Above it, prior, kinematics or sensors are
-# wrong. A factor below 1 is harmless, as the prior is then only too wide.
-SUSPICIOUS_SCALE = 2.0
-# The same for a model file's values, whose ±25 % are a guess. A zero that is a centre of mass on an
-# axis gets a small deviation, so a correct log of a body with one widens it up to ten times.
-SUSPICIOUS_MODEL_SCALE = 20.0
-# Largest whiteness of residuals that count as white noise.
-SUSPICIOUS_WHITENESS = 1.4
-# Growth of the residuals by constraints. It is at most 1.07 in logs of eleven real robots.
-SUSPICIOUS_GROWTH = 1.4
-# Largest share of a direction's apparent information that may be noise in the regressor.
-SUSPICIOUS_NOISE = 0.5
-
-# What the alarm about factors of efforts begins with.
-WRONG_FACTORS = "the efforts have wrong factors"
-NOTHING = (
-    "the data determined nothing, and all numbers are those of the prior: record more motion, or "
-    "name fewer joint terms, as Coulomb friction needs windows in which each joint slips"
-)
 
 
 @dataclass(frozen=True)
@@ -94,7 +75,9 @@ class Verdict:
         Whether that factor has been applied, because no deviations are stated.
     mass_scale : float
         Relative standard deviation of a scale that all masses share and the data cannot check; 0
-        with a weighing.
+        if a weighing checks it.
+    weighing_std : float
+        Standard deviation of the robot's weighing, kg; 0 without one.
     """
 
     window: float
@@ -111,6 +94,7 @@ class Verdict:
     unexplained: tuple[UnexplainedForce, ...] = ()
     is_prior_scaled: bool = False
     mass_scale: float = 0.0
+    weighing_std: float = 0.0
 
     @property
     def is_coloured(self) -> bool:
@@ -162,13 +146,20 @@ class Verdict:
             for mass, _, frame, at in named
         )
 
-    def describe_mass_scale(self, *, floating: bool = True) -> str:
-        """Return what the data cannot check about the masses; empty with a weighing.
+    @property
+    def has_open_scale(self) -> bool:
+        """Whether a scale of all masses is open: no weighing checks or contradicts it."""
+        is_contradicted = any(Alarm.WEIGHING in alarm for alarm in self.alarms)
+        return self.mass_scale > 0 and not is_contradicted
 
-        Beside drive gains another line says where the scale comes from. The efforts of a robot with
-        a fixed base do not carry all of it, so that its total mass tells nothing about them.
+    def describe_mass_scale(self, *, floating: bool = True) -> str:
+        """Return what the data cannot check about the masses; empty if a weighing does.
+
+        Beside drive gains another line says where the scale comes from, and beside the alarm of a
+        weighing that alarm does. The efforts of a robot with a fixed base do not carry all of it,
+        so that its total mass tells nothing about them.
         """
-        if self.mass_scale == 0 or self.describe_drive_gains():
+        if not self.has_open_scale or self.describe_drive_gains():
             return ""
         start = f"mass scale ± {100 * self.mass_scale:.2g} %, not checkable"
         if not floating:
@@ -176,19 +167,15 @@ class Verdict:
                 f"{start} by efforts that have a gain in common: give the deviation of that gain "
                 "as `force_scale_std`"
             )
+        if self.weighing_std > 0:
+            return (
+                f"{start} by a weighing with a deviation of {self.weighing_std:.2g} kg: weigh the "
+                "robot more accurately, and give `total_mass_std`"
+            )
         return (
             f"{start} without a weighing: give `total_mass`, or the deviation of the sensors' "
             "common gain as `force_scale_std`"
         )
-
-
-def is_coloured(whiteness: float, unexplained: Sequence[UnexplainedForce]) -> bool:
-    """Return whether residuals are correlated in time and not small against the forces.
-
-    Their size is unknown if ``unexplained`` is empty.
-    """
-    is_large = not unexplained or unexplained[0].share > SMALL
-    return whiteness > SUSPICIOUS_WHITENESS and is_large
 
 
 def assess(
@@ -200,9 +187,9 @@ def assess(
     whiteness: float,
     sensors: tuple[Sequence[str], Sequence[str]] = ((), ()),
     unexplained: tuple[UnexplainedForce, ...] = (),
-    measurements: PseudoMeasurements | None = None,
+    alarms: tuple[str, ...] = (),
     mass_scale: float = 0.0,
-    rows: float = np.inf,
+    weighing_std: float = 0.0,
 ) -> Verdict:
     """Return the verdict on an estimate.
 
@@ -218,17 +205,13 @@ def assess(
         See :class:`Verdict`.
     sensors : pair of sequences of str
         Names and units of the sensor errors.
-    measurements : PseudoMeasurements or None
-        Those of the posterior.
-    mass_scale : float
+    alarms, mass_scale, weighing_std
         See :class:`Verdict`.
-    rows : float
-        Number of rows of all coordinates.
     """
     p = len(parameters)
     prior, factor = posterior.prior_factor, posterior.deviation_factor
     known = determined_directions(
-        _square(prior[:p]), _square(factor[:p]), parameters.names, DETERMINED
+        square_factor(prior[:p]), square_factor(factor[:p]), parameters.names, DETERMINED
     )
     grouping = base_parameters(parameters)
     before = np.linalg.norm(grouping.matrix @ prior[:p], axis=1)
@@ -259,11 +242,7 @@ def assess(
         prior_scale=posterior.prior_scale * posterior.chosen_scale,
         whiteness=whiteness,
         noise_share=posterior.noise_share,
-        alarms=(
-            *(() if count else (NOTHING,)),
-            *alarms(posterior, whiteness, unexplained, measurements),
-            *_contradicted_limits(posterior, value, rows),
-        ),
+        alarms=alarms,
         effective=known.effective,
         gain=known.gain,
         link_gain=known.link_gain,
@@ -273,87 +252,5 @@ def assess(
         unexplained=unexplained,
         is_prior_scaled=posterior.is_scaled,
         mass_scale=mass_scale,
+        weighing_std=weighing_std,
     )
-
-
-def _square(factor: FloatArray) -> FloatArray:
-    """Return a square factor (p, p) of the covariance that a factor with p rows has."""
-    if factor.shape[0] == factor.shape[1]:
-        return factor
-    triangle = np.asarray(np.linalg.qr(factor.T, mode="r"), dtype=np.float64)
-    return triangle.T
-
-
-def alarms(
-    posterior: Posterior,
-    whiteness: float,
-    unexplained: Sequence[UnexplainedForce] = (),
-    measurements: PseudoMeasurements | None = None,
-) -> tuple[str, ...]:
-    """Return the alarms of an estimate, one line each; arguments as in :func:`assess`."""
-    found = []
-    if posterior.chosen_scale > SUSPICIOUS_MODEL_SCALE:
-        found.append(
-            f"the data widened the prior of the inertias {posterior.chosen_scale:.1f} times, from "
-            f"±25 % to ±{25 * posterior.chosen_scale:.0f} % of the model's values: the model lacks "
-            "a tool or payload, or its inertias, its kinematics, a sensor's gain or calibration is "
-            "wrong"
-        )
-    if posterior.prior_scale > SUSPICIOUS_SCALE:
-        found.append(
-            f"the data contradict the prior, which would have to be {posterior.prior_scale:.1f} "
-            "times wider: the prior, the kinematics or a sensor's calibration is wrong"
-        )
-    if is_coloured(whiteness, unexplained):
-        found.append(coloured_alarm(whiteness, unexplained))
-    if posterior.noise_share > SUSPICIOUS_NOISE:
-        found.append(
-            f"{100 * posterior.noise_share:.0f} % of the information about one direction is noise "
-            "in the motion: move more, or use longer windows"
-        )
-    weighing = weighing_residual(posterior, measurements)
-    if weighing is not None and weighing.is_contradiction:
-        found.append(
-            f"the weighing of {weighing.weighed:.2f} ± {weighing.weighed_std:.2g} kg contradicts "
-            f"the data, which say {weighing.implied:.2f} ± {weighing.implied_std:.2g} kg "
-            f"({abs(weighing.deviations):.0f} standard deviations): the weighing or a gain of the "
-            "forces is wrong, or a support without a sensor carries weight"
-        )
-    return tuple(found)
-
-
-def _contradicted_limits(posterior: Posterior, value: FloatArray, rows: float) -> tuple[str, ...]:
-    """Return the alarm that possible links and drives hardly explain what others do explain."""
-    if rows < 1:
-        return ()
-    moved = posterior.factor @ (value - posterior.mean)
-    growth = float(np.sqrt(1.0 + moved @ moved / rows))
-    if growth < SUSPICIOUS_GROWTH:
-        return ()
-    return (
-        "the data contradict links that are physically possible and drives that take power: with "
-        f"these the residuals are {growth:.1f} times as large as without; signs, units or zeros of "
-        "joints, or the kinematics are wrong",
-    )
-
-
-def coloured_alarm(
-    whiteness: float, unexplained: Sequence[UnexplainedForce], *, when: str = "", cause: str = ""
-) -> str:
-    """Return the alarm of residuals that are correlated in time.
-
-    Parameters
-    ----------
-    whiteness, unexplained
-        See :class:`Verdict`.
-    when : str
-        When most of the force is unexplained, if that is known.
-    cause : str
-        What explains it, and what to do, if causes were tried.
-    """
-    size = f"{unexplained[0]}{when and f', mostly {when}'}: " if unexplained else ""
-    cause = cause or (
-        "the model lacks an effect or a sensor's calibration is wrong; identify a bag to have "
-        "likely causes tried"
-    )
-    return f"{size}the residuals are not white noise (whiteness {whiteness:.1f}); {cause}"

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.excitation.limits import with_stated_limits
 from symbid_ros.excitation.objective import MotionSpace
 from symbid_ros.excitation.options import STANDING, ExciteOptions

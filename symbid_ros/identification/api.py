@@ -20,11 +20,11 @@ from symbid_ros.errors import DataError, OptionError
 from symbid_ros.identification.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
 from symbid_ros.identification.contacts import with_robot_options
-from symbid_ros.identification.holdout import identify_with_holdout
 from symbid_ros.identification.joint_readings import find_readings
 from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.pipeline import identify_problem
 from symbid_ros.identification.position_units import find_degrees
 from symbid_ros.identification.result import LogInformation, Result
 from symbid_ros.identification.robot_options import RobotOptions
@@ -72,7 +72,7 @@ def identify(
         found = problem.with_provenance(problem.solve())
     else:
         problem = load_problem(robot, log, options)
-        problem, found = identify_with_holdout(problem)
+        problem, found = identify_problem(problem)
         found_out = {name: getattr(problem.options, name) for name in ("contact", "gravity")}
         options = replace(options, **found_out)
     return Result(found.estimate, options, found, problem.parameters)

@@ -10,9 +10,9 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray
 from symbid_ros.errors import SymbidError
+from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
-from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
 from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
 from symbid_ros.identification.joint_terms import candidate_posterior
 from symbid_ros.identification.solver import Solver

@@ -2,6 +2,7 @@
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
+from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
@@ -42,7 +43,7 @@ def contact_alarms(model: RobotModel, before: FloatArray, after: FloatArray) -> 
     if least < after.sum() < most:
         return ()
     return (
-        f"the total mass went from {before.sum():.3g} kg in the model file to {after.sum():.3g} "
+        f"{Alarm.TOTAL_MASS} {before.sum():.3g} kg in the model file to {after.sum():.3g} "
         f"kg: name every contact in `contact`, leave flags out that are wrong (`contact_flag`), or "
         "check signs and units of the efforts",
     )

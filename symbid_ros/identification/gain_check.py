@@ -13,9 +13,9 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SymbidError
+from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.effort_columns import EffortColumns
 from symbid_ros.estimation.estimate import HoldOut
-from symbid_ros.estimation.verdict import WRONG_FACTORS
 from symbid_ros.identification.calibration import error_layout
 from symbid_ros.identification.drive_gains import named_joints
 from symbid_ros.identification.loaded_problem import LoadedProblem
@@ -124,7 +124,7 @@ def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str
         f"{joint} reads {factor:.2g} times the torque" for joint, factor in factors.items()
     )
     return (
-        f"{WRONG_FACTORS}: relative to the other joints, {named}; with these, the "
+        f"{Alarm.WRONG_FACTORS}: relative to the other joints, {named}; with these, the "
         f"end of the log is predicted to {checked.percent_after:.2g} instead of {before:.2g} %; "
         "check torque constants and gear ratios"
     )
@@ -194,8 +194,8 @@ def wrist_sensor_alarms(problem: LoadedProblem) -> tuple[str, ...]:
         factor, std = float(weights @ factors / weights.sum()), float(weights.sum() ** -0.5)
         if factor > 0 and abs(np.log(factor)) > max(CERTAIN * std / factor, RELEVANT):
             found.append(
-                f"the wrench at {frame} reads {1 / factor:.3g} ± {std / factor**2:.1g} times what "
-                f"the efforts of the joints imply, so the mass beyond {frame} is wrong, or those "
+                f"the wrench at {frame} reads {1 / factor:.3g} ± {std / factor**2:.1g} "
+                f"{Alarm.WRIST_SENSOR}, so the mass beyond {frame} is wrong, or those "
                 "of the arm are: check the sensor's gain and unit, torque constants and gear "
                 "ratios, or compare both with a known load"
             )

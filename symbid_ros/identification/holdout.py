@@ -1,33 +1,23 @@
 """Check of an identification on the end of its own log, which a trial identification leaves out."""
 
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.dataset import Processing, fold_dataset
-from symbid_ros.identification.force_errors import RELEVANT
-from symbid_ros.identification.gain_check import Trial, wrist_sensor_alarms, wrong_factors
-from symbid_ros.identification.joint_alarms import with_joint_alarms
-from symbid_ros.identification.likely_cause import explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.report_data import ForceSeries
 from symbid_ros.identification.report_series import (
     PositionTrace,
-    coverage,
     force_series,
-    report_data,
 )
-from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import validate_segments
 from symbid_ros.identification.warming import during
-from symbid_ros.progress import report
 from symbid_ros.signals.segments import RemoteSegments, Segment, split
 from symbid_ros.signals.weak_form import WINDOWS
 
@@ -40,138 +30,31 @@ REST = 0.01
 # Share of states that occurred before, from which a motion repeats.
 REPEATED = 0.9
 MOST_STATES, MOST_QUERIES = 20_000, 1_000
-# Verdicts with which the stated prior is tried.
-NOT_BETTER = "worse", "mixed", "unfit"
-PRIOR_KEPT = (
-    "the prior is kept at ±25 % (keep_prior): with the one that the data ask for, the trial erred "
-    "more, {}"
-)
-UNPREDICTED = (
-    "the log does not predict its own end: {}; record longer and more varied motion, or correct "
-    "what differs there, such as a load or a contact"
-)
 
 
-def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identification]:
-    """Identify a log; a trial without its last quarter shows how well that is predicted.
-
-    The trial chooses joint terms, prior scale and sensor errors from the earlier part alone. It
-    uses the window length of the whole log. If the identified robot predicts the last quarter worse
-    than the model file, and better with the stated prior, that prior is kept: where the equation of
-    motion is wrong, the data would widen it without bound. If factors on some joints' efforts
-    predict it much better, these are identified, and an alarm says so.
-
-    Returns
-    -------
-    LoadedProblem
-        The problem that was solved: the given one, or the same with the stated prior or with
-        factors of efforts.
-    Identification
-
-    Raises
-    ------
-    SymbidError
-        When the log cannot be identified.
-    """
-    report("solving")
-    found = problem.solve()
-    log = coverage(problem)
-    checked, forces = None, None
-    if not problem.options.no_holdout:
-        report("holding out the end of the log")
-        try:
-            checked, forces = _hold_out(problem, found.window, log.begin)
-        except SymbidError as error:
-            checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {error}")
-        if checked.advice in NOT_BETTER and problem.options.is_empirical:
-            better = _with_kept_prior(problem, checked, log.begin)
-            if better is not None:
-                problem, found, checked, forces = better
-    alarm = None
-    if checked is not None and checked.advice == "unfit":
-        alarm = UNPREDICTED.format(checked.summary)
-    elif checked is not None:
-        wrong = wrong_factors(problem, checked, lambda one: _tried(one, log.begin))
-        if wrong is not None:
-            alarm = wrong.alarm
-            problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
-    found = problem.with_provenance(with_joint_alarms(problem, explained(problem, found)))
-    for one in wrist_sensor_alarms(problem):
-        found = _with_alarm(found, one)
-    if alarm is not None:
-        found = _with_alarm(found, alarm)
-    if forces is None:
-        forces = _predict_end(problem, found, log.begin)
-    found = replace(
-        found,
-        estimate=replace(found.estimate, holdout=checked),
-        report=report_data(problem, found, forces, log),
-    )
-    return problem, found
-
-
-def _with_alarm(found: Identification, alarm: str) -> Identification:
-    verdict = found.estimate.verdict
-    if verdict is None:
-        return found
-    verdict = replace(verdict, alarms=(*verdict.alarms, alarm))
-    return replace(found, estimate=replace(found.estimate, verdict=verdict))
-
-
-def _tried(problem: LoadedProblem, begin: int) -> Trial:
-    found = problem.solve()
-    return Trial(problem, found, *_hold_out(problem, found.window, begin))
-
-
-def _with_kept_prior(problem: LoadedProblem, before: HoldOut, begin: int) -> Trial | None:
-    """Identify with the stated prior; None unless that predicts the end of the log better."""
-    kept = problem.with_prior(problem.prior, replace(problem.options, keep_prior=True))
-    try:
-        trial = _tried(kept, begin)
-    except SymbidError:
-        return None
-    found, checked = trial.found, trial.checked
-    errors = checked.percent_after, before.percent_after
-    if errors[0] is None or errors[1] is None or RELEVANT * errors[0] >= errors[1]:
-        return None
-    remarks = (*found.estimate.remarks, PRIOR_KEPT.format(before.summary))
-    return trial._replace(found=replace(found, estimate=replace(found.estimate, remarks=remarks)))
-
-
-def check_holdout(problem: LoadedProblem, window: float) -> HoldOut:
-    """Identify a log without its end and predict the latter.
+def hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOut, ForceSeries]:
+    """Identify a log without its last quarter and predict the latter.
 
     Parameters
     ----------
     problem : LoadedProblem
     window : float
         Length of the windows, s; 0 for filtered rows.
+    begin : int
+        Start of the log, ns.
+
+    Returns
+    -------
+    HoldOut
+        The errors of the prediction.
+    ForceSeries
+        The measured and predicted forces.
 
     Raises
     ------
     SymbidError
         When one of both parts is too short.
     """
-    return _hold_out(problem, window, 0)[0]
-
-
-def _predict_end(problem: LoadedProblem, found: Identification, begin: int) -> ForceSeries | None:
-    """Predict the last quarter of the log, or all of a short one, with the final estimate."""
-    dataset, trace = problem.dataset, PositionTrace()
-    predictor = ForcePredictor.of(found, problem.parameters)
-    part = dataset.segments
-    with suppress(SymbidError):
-        _, part = split(dataset.segments, max(found.window, *WINDOWS), dataset.source)
-    try:
-        efforts = validate_segments(predictor, trace.of(part), dataset.source).efforts
-    except SymbidError:  # too short for a prediction
-        return None
-    model = predictor.parameters.model
-    return force_series(efforts, model, trace, begin=begin, window=found.window, is_held_out=False)
-
-
-def _hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOut, ForceSeries]:
-    """Return the check on the end of the log and the forces predicted there."""
     dataset, trace = problem.dataset, PositionTrace()
     training, held_out = split(dataset.segments, max(window, *WINDOWS), dataset.source)
     processing = Processing.of(problem.options)

@@ -1,11 +1,12 @@
 """Alarms about joints whose efforts the estimate does not predict, or whose signs are wrong."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.unexplained import force_text
 from symbid_ros.identification.joint_readings import find_readings
 from symbid_ros.identification.loaded_problem import LoadedProblem
@@ -26,13 +27,12 @@ def with_joint_alarms(problem: LoadedProblem, found: Identification) -> Identifi
     They are about joints of a fixed base that move and whose effort is not predicted at all. If
     there is any alarm, the log is searched for joints that it exchanges or reverses.
     """
-    verdict = found.estimate.verdict
-    if verdict is None:
+    if found.estimate.verdict is None:
         return found
     model = problem.solver.problem.parameters.model
     if model.floating:  # noise of wrenches adds to that of efforts
         return found
-    alarms, named = [*verdict.alarms], set[str]()
+    alarms, named = [*found.alarms], set[str]()
     unpredicted = _unpredicted(problem, found)
     if (alarms or unpredicted) and not problem.options.drive_gains:
         readings = find_readings(tuple(problem.dataset.segments), model)
@@ -40,8 +40,7 @@ def with_joint_alarms(problem: LoadedProblem, found: Identification) -> Identifi
             alarms.append(readings.alarm)
             named = {*readings.exchanged, *readings.reversed_joints}
     alarms += [alarm for name, alarm in unpredicted.items() if name not in named]
-    verdict = replace(verdict, alarms=tuple(alarms))
-    return replace(found, estimate=replace(found.estimate, verdict=verdict))
+    return found.with_alarms(tuple(alarms))
 
 
 def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str]:
@@ -74,8 +73,8 @@ def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str
             else "check which joint the driver means by its position and its effort"
         )
         alarms[name] = (
-            f"nothing of the effort of {name} ({force_text(size, unit)}) is predicted, although "
-            f"the joint moves and the effort is clear of noise: {cause}"
+            f"nothing of the effort of {name} ({force_text(size, unit)}) "
+            f"{Alarm.UNPREDICTED_EFFORT} and the effort is clear of noise: {cause}"
         )
     return alarms
 

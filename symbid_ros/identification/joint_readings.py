@@ -8,6 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.diagnosis.findings import Finding, Kind
+from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.identification.loose_fit import LooseRows, loose_rows, some_blocks
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
@@ -111,7 +112,7 @@ class JointReadings:
         reversed_ = [f"{what} of {', '.join(names)}" for what, names in groups.items() if names]
         if reversed_:
             said.append(f"{', '.join(reversed_)} have the opposite sign of the model's joint axis")
-        return f"{', and '.join(said)}, as the efforts show"
+        return f"{', and '.join(said)}, {Alarm.READINGS}"
 
     @property
     def options(self) -> dict[str, list[str]]:

@@ -15,8 +15,8 @@ from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS, TYPICAL_ERRORS
 from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.diagnosis.timing import SLOWEST, TOLERANCE
 from symbid_ros.errors import SymbidError
+from symbid_ros.estimation.alarms import Alarm, coloured_alarm
 from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
-from symbid_ros.estimation.verdict import coloured_alarm
 from symbid_ros.identification.candidate_causes import GROUPS, Candidate, CandidateRows
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.solver import Identification
@@ -108,8 +108,7 @@ def explained(problem: LoadedProblem, found: Identification) -> Identification:
     residuals.
     """
     found = _with_tried_causes(problem, found)
-    verdict = found.estimate.verdict
-    if verdict is None or not verdict.alarms:
+    if not found.alarms:
         return found
     model = problem.solver.problem.parameters.model
     names = held_joints(model.joint_names, problem.dataset.segments)
@@ -117,12 +116,11 @@ def explained(problem: LoadedProblem, found: Identification) -> Identification:
     if not own:
         return found
     alarm = (
-        f"the log lacks {', '.join(own)}, taken to be at rest: motion there would explain the "
-        "other alarms; record the joint states of all joints, or give the names in the log as "
-        "`rename_joint`"
+        f"{Alarm.LACKING_JOINTS} {', '.join(own)}, taken to be at rest: motion there would "
+        "explain the other alarms; record the joint states of all joints, or give the names in the "
+        "log as `rename_joint`"
     )
-    verdict = replace(verdict, alarms=(*verdict.alarms, alarm))
-    return replace(found, estimate=replace(found.estimate, verdict=verdict))
+    return found.with_alarms((*found.alarms, alarm))
 
 
 def held_joints(names: tuple[str, ...], segments: Iterable[Segment]) -> list[str]:
@@ -161,8 +159,7 @@ def _with_cause(found: Identification, when: str, sentence: str) -> Identificati
     assert verdict is not None
     before = coloured_alarm(verdict.whiteness, verdict.unexplained)
     after = coloured_alarm(verdict.whiteness, verdict.unexplained, when=when, cause=sentence)
-    alarms = tuple(after if alarm == before else alarm for alarm in verdict.alarms)
-    return replace(found, estimate=replace(found.estimate, verdict=replace(verdict, alarms=alarms)))
+    return found.with_alarms(tuple(after if alarm == before else alarm for alarm in verdict.alarms))
 
 
 def _explanation(rows: CandidateRows, worst: UnexplainedForce) -> str:

@@ -20,7 +20,7 @@ from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.base_gravity import with_found_gravity
 from symbid_ros.identification.compliance import shows_compliance
-from symbid_ros.identification.contacts import contact_alarms, with_robot_options
+from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.dataset import Dataset, Processing
 from symbid_ros.identification.drive_gains import ConvertedSegments
 from symbid_ros.identification.fast_motion import with_fast_motion
@@ -141,18 +141,8 @@ class LoadedProblem:
             None if first is None else first.rate,
         )
         estimate = replace(found.estimate, rows=settings)
-        count = self.parameters.inertial
-        masses = self.prior.mean[:count:10], estimate.value[:count:10]
-        alarms = (
-            *self.checks.alarms,
-            *self.solver.problem.alarms,
-            *contact_alarms(self.parameters.model, *masses),
-        )
-        if estimate.verdict is not None and alarms:
-            verdict = estimate.verdict
-            verdict = replace(verdict, alarms=(*alarms, *verdict.alarms))
-            estimate = replace(estimate, verdict=verdict)
-        return replace(found, estimate=estimate)
+        found = replace(found, estimate=estimate)
+        return found.with_alarms((*self.checks.alarms, *found.alarms))
 
     def with_provenance(self, found: Identification, command: str = "") -> Identification:
         """Return an identification of this problem that names its inputs and options.

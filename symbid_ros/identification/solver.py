@@ -8,8 +8,10 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Method
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.alarms import alarms
 from symbid_ros.estimation.archive import SensorCalibration
 from symbid_ros.estimation.change import discounted_pseudo_measurements
+from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.mass_scale import (
     FORCE_SCALE_STD,
@@ -25,7 +27,8 @@ from symbid_ros.estimation.sandwich import with_correlated_residuals
 from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, select_rank
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
 from symbid_ros.estimation.unexplained import UnexplainedForce, unexplained_forces
-from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
+from symbid_ros.estimation.verdict import assess
+from symbid_ros.identification.contacts import contact_alarms
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.report_data import ReportData
 from symbid_ros.identification.term_remarks import joints_without_rows
@@ -84,6 +87,20 @@ class Identification:
     def deviation_factor(self) -> FloatArray | None:
         """(p, r) L of the robot's parameters' covariance L Lᵀ; None for truncated methods."""
         return None if self.factor is None else self.factor[: len(self.estimate.names)]
+
+    @property
+    def alarms(self) -> tuple[str, ...]:
+        """Reasons not to trust the estimate, one line each; none without a verdict."""
+        verdict = self.estimate.verdict
+        return () if verdict is None else verdict.alarms
+
+    def with_alarms(self, alarms: tuple[str, ...]) -> "Identification":
+        """Return the same with these alarms alone, if its estimate has a verdict to hold them."""
+        verdict = self.estimate.verdict
+        if verdict is None:
+            return self
+        verdict = replace(verdict, alarms=alarms)
+        return replace(self, estimate=replace(self.estimate, verdict=verdict))
 
     @property
     def calibration(self) -> SensorCalibration | None:
@@ -182,10 +199,23 @@ class Solver:
         units = problem.parameters.model.coordinate_units
         return unexplained_forces(observations[0], observations[-1], mean, units, factors)
 
-    @property
-    def alarms(self) -> tuple[str, ...]:
-        """Reasons not to trust the estimate, one line each."""
-        return alarms(self.posterior, self.whiteness, self.unexplained, self._measurements)
+    def alarms(self, value: FloatArray) -> tuple[str, ...]:
+        """Return the reasons not to trust an estimate (p + s,), one line each."""
+        parameters = self.problem.parameters
+        masses = slice(0, parameters.inertial, 10)
+        return (
+            *self.problem.alarms,
+            *contact_alarms(parameters.model, self.problem.prior.mean[masses], value[masses]),
+            *alarms(
+                self.posterior,
+                value,
+                len(parameters),
+                whiteness=self.whiteness,
+                unexplained=self.unexplained,
+                measurements=self._measurements,
+                rows=float(self.chosen.counts.diagonal().sum()),
+            ),
+        )
 
     @property
     def _measurements(self) -> PseudoMeasurements | None:
@@ -216,9 +246,14 @@ class Solver:
         """Return the relative deviation of the masses' scale; 0 if a weighing checks it."""
         if gain is None:
             return 0.0
-        is_weighed = self._measurements is not None and self._measurements.has_weighing
-        is_checked = is_weighed and gain.std < UNCHECKED * self._force_scale_std
+        is_checked = self._weighing_std > 0 and gain.std < UNCHECKED * self._force_scale_std
         return 0.0 if is_checked else gain.std
+
+    @property
+    def _weighing_std(self) -> float:
+        """Deviation of the robot's weighing, kg; 0 without one."""
+        measurements = self._measurements
+        return 0.0 if measurements is None else measurements.weighing_std
 
     @property
     def _force_scale_std(self) -> float:
@@ -262,9 +297,9 @@ class Solver:
                 whiteness=self.whiteness,
                 sensors=(problem.sensor_names, problem.sensor_units),
                 unexplained=self.unexplained,
-                measurements=self._measurements,
+                alarms=self.alarms(value),
                 mass_scale=self._mass_scale(gain),
-                rows=float(self.chosen.counts.diagonal().sum()),
+                weighing_std=self._weighing_std,
             )
         estimate = self._estimate(
             method,

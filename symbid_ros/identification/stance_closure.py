@@ -25,6 +25,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import KINEMATIC_ERRORS
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses
 from symbid_ros.dynamics.placements import screws_at_base
+from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -215,7 +216,7 @@ def contradicted_geometry(stances: RestingSoles, model: RobotModel) -> str:
     if costs[1] - costs[0] < CONTRADICTION or np.any(size > LARGEST):
         return ""
     return (
-        f"the poses of resting soles vary with the posture by {1e3 * np.linalg.norm(size[3:]):.2g} "
+        f"{Alarm.SOLES} with the posture by {1e3 * np.linalg.norm(size[3:]):.2g} "
         "mm (RMS) more than encoder offsets explain: link lengths or joint axes of the model are "
         "wrong; add link_length, or link_length,joint_axis, to `sensor_errors`"
     )

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.alarms import SUSPICIOUS_NOISE
 from symbid_ros.estimation.change import discounted_prior, discounted_pseudo_measurements
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior, posterior
-from symbid_ros.estimation.verdict import SUSPICIOUS_NOISE
 from symbid_ros.identification.problem import Problem
 
 # Change, in posterior standard deviations, at which iterations stop for a comparison.

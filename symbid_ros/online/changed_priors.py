@@ -10,9 +10,9 @@ from symbid_ros.estimation.change import (
     relaxed_prior,
     relaxed_sensor_prior,
 )
+from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.change_monitor import Change
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Identification

@@ -422,7 +422,7 @@ class OnlineIdentification:
             solver.problem.parameters,
             self._until,
             window,
-            solver.alarms,
+            solver.alarms(found.unknowns),
             change,
             None if change is not None else self._monitor.followed,
         )

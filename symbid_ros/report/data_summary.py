@@ -6,13 +6,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from symbid_ros.estimation.alarms import SUSPICIOUS_NOISE, SUSPICIOUS_WHITENESS
 from symbid_ros.estimation.estimate import Estimate, HoldOut
 from symbid_ros.estimation.unexplained import SMALL
-from symbid_ros.estimation.verdict import (
-    SUSPICIOUS_NOISE,
-    SUSPICIOUS_WHITENESS,
-    Verdict,
-)
+from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.formatting import ABSENT, fixed, shared_decimals, significant, with_std
 
@@ -107,9 +104,11 @@ def _unexplained_entries(verdict: Verdict) -> tuple[SummaryEntry, ...]:
 
 
 def _mass_scale_entries(verdict: Verdict, *, floating: bool) -> tuple[SummaryEntry, ...]:
-    if verdict.mass_scale == 0:
+    if not verdict.has_open_scale:
         return ()
     checkable = " without a weighing" if floating else ""
+    if floating and verdict.weighing_std > 0:
+        checkable = f" by a weighing with a deviation of {significant(verdict.weighing_std)} kg"
     return (
         SummaryEntry(
             "Mass scale",

@@ -6,7 +6,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.model.parameters import ParameterSet
 
 

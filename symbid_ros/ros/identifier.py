@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.provenance import command_line
-from symbid_ros.identification.holdout import identify_with_holdout
+from symbid_ros.identification.pipeline import identify_problem
 from symbid_ros.identification.result_files import export_urdf, write_identification
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import BagRequest
@@ -105,7 +105,7 @@ def identify_bags(node: Node, values: dict[str, Any], stop: Event) -> None:
     with interruptible(stop):  # long bags take minutes
         options, log = identify_options(values), log_options(values)
         request = BagRequest(bags, model, options, log, base).completed()
-        problem, found = identify_with_holdout(request.load(out))
+        problem, found = identify_problem(request.load(out))
         found = request.attributed(found, command_line())
     estimate = found.estimate
     if out is not None:

@@ -22,8 +22,8 @@ from symbid_ros.cluster.log_job import ClusterRequest, divided
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.identification.dataset import SPAN
-from symbid_ros.identification.holdout import identify_with_holdout
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.pipeline import identify_problem
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import BagRequest
@@ -57,7 +57,7 @@ def request_of_all(bags) -> BagRequest:
 @pytest.fixture(scope="module")
 def alone(request_of_all):
     """Return the identification by one process."""
-    return identify_with_holdout(request_of_all.load())[1]
+    return identify_problem(request_of_all.load())[1]
 
 
 def assert_equal(found, expected) -> None:

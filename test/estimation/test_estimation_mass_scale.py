@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from symbid_ros.estimation.alarms import SUSPICIOUS_MODEL_SCALE, alarms
 from symbid_ros.estimation.mass_scale import (
     DEVIATIONS,
     LEAST_DIFFERENCE,
@@ -14,7 +15,6 @@ from symbid_ros.estimation.mass_scale import (
 )
 from symbid_ros.estimation.posterior import Posterior, PseudoMeasurements
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.verdict import SUSPICIOUS_MODEL_SCALE, alarms
 
 COUNT = 5
 SCALE = np.array([2.0, 1.0, 0.3, 0.2, 0.5])  # the last is a joint term
@@ -76,14 +76,17 @@ def test_only_a_clear_difference_is_a_contradiction() -> None:
     assert differs(1.02 * LEAST_DIFFERENCE * 40, 1e-3)
 
 
+def alarms_of(found, measurements=None):
+    return alarms(found, found.mean, COUNT, whiteness=0.0, measurements=measurements)
+
+
 def test_a_contradicted_weighing_is_an_alarm_with_its_numbers() -> None:
     wrong = Case(2, weighed=3.3)
-    (alarm,) = alarms(wrong.posterior(wrong.measurements), 0.0, measurements=wrong.measurements)
+    (alarm,) = alarms_of(wrong.posterior(wrong.measurements), wrong.measurements)
     assert "3.30 ± 0.02 kg contradicts" in alarm
     assert "say 3.00 ±" in alarm
     right = Case(2, weighed=3.0)
-    found = alarms(right.posterior(right.measurements), 0.0, measurements=right.measurements)
-    assert found == ()
+    assert alarms_of(right.posterior(right.measurements), right.measurements) == ()
 
 
 @pytest.mark.parametrize("weighed", [None, 3.0])
@@ -111,6 +114,6 @@ def test_the_common_gain_is_a_further_unknown(weighed, std) -> None:
 
 def test_a_prior_that_the_data_widened_a_hundredfold_is_named_by_its_factor() -> None:
     found = replace(Case(4).posterior(), is_scaled=True, chosen_scale=97.0)
-    (alarm,) = alarms(found, 0.0)
+    (alarm,) = alarms_of(found)
     assert "widened the prior of the inertias 97.0 times" in alarm
-    assert alarms(replace(found, chosen_scale=0.99 * SUSPICIOUS_MODEL_SCALE), 0.0) == ()
+    assert alarms_of(replace(found, chosen_scale=0.99 * SUSPICIOUS_MODEL_SCALE)) == ()

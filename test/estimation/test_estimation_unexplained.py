@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from gaussian_logs import gaussian_log
 
+from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS, is_coloured
 from symbid_ros.estimation.unexplained import (
     LEAST_FORCE,
     SMALL,
     UnexplainedForce,
     unexplained_forces,
 )
-from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS, is_coloured
 
 RATIO, COUNT = 4, 2000
 UNITS = ("Nm",) * 3 + ("N",) * 3 + ("Nm",) * 2

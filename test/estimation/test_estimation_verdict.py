@@ -11,17 +11,18 @@ from scipy.linalg import eigh
 from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.posterior import posterior
-from symbid_ros.estimation.truncated_svd import informative_rank
-from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
-from symbid_ros.estimation.verdict import (
-    DETERMINED,
-    NOTHING,
+from symbid_ros.estimation.alarms import (
     SUSPICIOUS_NOISE,
     SUSPICIOUS_SCALE,
     SUSPICIOUS_WHITENESS,
-    assess,
+    Alarm,
+    alarms,
 )
+from symbid_ros.estimation.directions import DETERMINED
+from symbid_ros.estimation.posterior import posterior
+from symbid_ros.estimation.truncated_svd import informative_rank
+from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
+from symbid_ros.estimation.verdict import assess
 
 
 class Judged:
@@ -143,44 +144,43 @@ def test_sensor_errors_are_separate_from_the_robots_parameters():
     assert verdict.gain < told.gain
 
 
-def alarms(judged, *, whiteness=1.0, unexplained=(), **changes):
+def alarms_of(judged, *, whiteness=1.0, unexplained=(), **changes):
     doubtful = replace(judged.posterior, **changes)
-    return assess(
+    return alarms(
         doubtful,
         judged.value,
-        judged.parameters,
-        window=0.081,
+        len(judged.parameters),
         whiteness=whiteness,
         unexplained=unexplained,
-    ).alarms
+    )
 
 
 def test_alarms_are_raised_only_beyond_their_thresholds(judged):
     below, above = 1 - 1e-6, 1 + 1e-6
     calm = {"prior_scale": 1.0, "noise_share": 0.0}
-    assert alarms(judged, **calm) == ()
-    assert alarms(judged, **calm | {"prior_scale": below * SUSPICIOUS_SCALE}) == ()
-    (scale,) = alarms(judged, **calm | {"prior_scale": above * SUSPICIOUS_SCALE})
+    assert alarms_of(judged, **calm) == ()
+    assert alarms_of(judged, **calm | {"prior_scale": below * SUSPICIOUS_SCALE}) == ()
+    (scale,) = alarms_of(judged, **calm | {"prior_scale": above * SUSPICIOUS_SCALE})
     assert "2.0 times wider" in scale
-    assert alarms(judged, whiteness=below * SUSPICIOUS_WHITENESS, **calm) == ()
-    (white,) = alarms(judged, whiteness=above * SUSPICIOUS_WHITENESS, **calm)
+    assert alarms_of(judged, whiteness=below * SUSPICIOUS_WHITENESS, **calm) == ()
+    (white,) = alarms_of(judged, whiteness=above * SUSPICIOUS_WHITENESS, **calm)
     assert f"whiteness {SUSPICIOUS_WHITENESS:.1f}" in white
     assert "identify a bag" in white
     small, large = (UnexplainedForce("knee", "Nm", 4.0, 80.0, share * SMALL) for share in (0.9, 5))
-    assert alarms(judged, whiteness=2.0, unexplained=(small,), **calm) == ()
-    (sized,) = alarms(judged, whiteness=2.0, unexplained=(large, small), **calm)
+    assert alarms_of(judged, whiteness=2.0, unexplained=(small,), **calm) == ()
+    (sized,) = alarms_of(judged, whiteness=2.0, unexplained=(large, small), **calm)
     assert sized.startswith("4 Nm of 80 Nm unexplained on knee: ")
-    assert alarms(judged, **calm | {"noise_share": below * SUSPICIOUS_NOISE}) == ()
-    (noise,) = alarms(judged, **calm | {"noise_share": above * SUSPICIOUS_NOISE})
+    assert alarms_of(judged, **calm | {"noise_share": below * SUSPICIOUS_NOISE}) == ()
+    (noise,) = alarms_of(judged, **calm | {"noise_share": above * SUSPICIOUS_NOISE})
     assert "50 %" in noise
-    assert alarms(judged, **calm | {"prior_scale": 1e-2}) == ()
-    everything = alarms(judged, whiteness=9.0, prior_scale=9.0, noise_share=0.9)
+    assert alarms_of(judged, **calm | {"prior_scale": 1e-2}) == ()
+    everything = alarms_of(judged, whiteness=9.0, prior_scale=9.0, noise_share=0.9)
     assert len(everything) == 3
     assert not any("\n" in alarm for alarm in everything)
 
 
 def test_one_window_alone_raises_no_alarm_of_whiteness(judged):
-    assert alarms(judged, whiteness=0.0, prior_scale=1.0, noise_share=0.0) == ()
+    assert alarms_of(judged, whiteness=0.0, prior_scale=1.0, noise_share=0.0) == ()
 
 
 def test_only_a_robot_that_contradicts_its_prior_raises_an_alarm():
@@ -193,8 +193,7 @@ def test_only_a_robot_that_contradicts_its_prior_raises_an_alarm():
             for change in (0.0 * other, other)
         ]
         like, unlike = (
-            assess(each, each.mean, log.parameters, window=0.081, whiteness=1.0).alarms
-            for each in found
+            alarms(each, each.mean, len(log.parameters), whiteness=1.0) for each in found
         )
         assert like == ()
         assert len(unlike) == 1
@@ -202,11 +201,12 @@ def test_only_a_robot_that_contradicts_its_prior_raises_an_alarm():
 
 def test_an_estimate_that_the_data_did_not_change_raises_an_alarm(judged):
     """As of a log in which hardly a row is usable."""
-    assert NOTHING not in judged.verdict.alarms
+    assert alarms_of(judged, prior_scale=1.0, noise_share=0.0) == ()
     alone = np.linalg.inv(judged.prior.covariance_factor())
     unmoved = replace(
         judged.posterior, mean=judged.prior.mean, factor=alone, excess_score=None, other_models=None
     )
     verdict = assess(unmoved, judged.prior.mean, judged.parameters, window=0.081, whiteness=1.0)
     assert verdict.directions == ()
-    assert verdict.alarms[0] == NOTHING
+    found = alarms(unmoved, judged.prior.mean, len(judged.parameters), whiteness=1.0)
+    assert Alarm.NOTHING in found[0]

@@ -8,7 +8,7 @@ import pytest
 from drive_logs import SECONDS, arm, drives, log_of
 
 import symbid_ros as sy
-from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
+from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS
 
 GAIN, DELAY, OFFSET = 1.1, 0.02, 4.0  # s, degrees
 JOINT = 2

@@ -9,9 +9,9 @@ from analytic_log import analytic_segment, dataset_of, noisy, spoilt
 from random_robots import random_robot
 
 from symbid_ros.choices import TYPICAL_ERRORS
+from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.calibration import SensorErrorRequest, calibrate
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.problem import Problem

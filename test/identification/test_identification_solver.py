@@ -10,6 +10,7 @@ from random_robots import CONFIG
 import symbid_ros as sy
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError, OptionError
+from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS, Alarm
 from symbid_ros.estimation.constraints import total_mass_row
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
@@ -17,8 +18,8 @@ from symbid_ros.estimation.posterior import CONVERGED, posterior
 from symbid_ros.estimation.prior import Prior, default_prior, draw_prior
 from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
-from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
 from symbid_ros.identification.dataset import Processing
+from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.result_files import write_identification
@@ -399,4 +400,14 @@ def test_drives_that_cannot_be_passive_raise_an_alarm(push):
     robot = arm(seed=2)
     log = log_of(robot, drives(robot, viscous=0.1), extra=lambda velocity, _: push * velocity)
     result = sy.identify(robot, log, unchecked=True, no_holdout=True, joint_terms="viscous")
-    assert any("drives that take power" in alarm for alarm in result.alarms) == bool(push)
+    assert any(Alarm.LIMITS in alarm for alarm in result.alarms) == bool(push)
+
+
+def test_alarms_are_the_same_with_and_without_a_verdict():
+    robot = arm(seed=2)
+    log = log_of(robot, drives(robot, viscous=0.1), extra=lambda velocity, _: -1.5 * velocity)
+    solver = load_problem(robot, log, IdentifyOptions(joint_terms=("viscous",))).solver
+    found, quick = solver.map_lmi(), solver.map_lmi(with_verdict=False)
+    assert solver.alarms(quick.unknowns) == found.alarms
+    assert any(Alarm.LIMITS in alarm for alarm in found.alarms)
+    assert quick.with_alarms(found.alarms).alarms == ()

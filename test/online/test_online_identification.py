@@ -14,6 +14,7 @@ from live_feed import Feed, feed_of
 
 from symbid_ros.bags import read_streams
 from symbid_ros.errors import DataError, EstimateError
+from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.options import IdentifyOptions
@@ -97,6 +98,17 @@ def assert_same(online, offline, *, rel=1e-9):
         for found, expected in zip(gram(one), gram(other), strict=True):
             scale = np.sqrt(np.diag(expected))
             assert np.all(np.abs(found - expected) <= rel * np.outer(scale, scale))
+
+
+def test_an_estimate_on_the_way_has_the_alarms_of_a_verdict(start, feed) -> None:
+    """Such as the one that the data add nothing to a prior that is nearly certain."""
+    live = start(prior_percent=1e-3, **LINKS)
+    *_, quick = feed.into(live, solving=1.0)
+    exact = live.solve(exactly=True)
+    assert quick.found.estimate.verdict is None
+    for one in (quick, exact):
+        assert any(Alarm.NOTHING in alarm for alarm in one.alarms)
+    assert exact.alarms == exact.found.alarms
 
 
 def test_live_messages_give_the_estimate_of_their_bag(start, feed, offline) -> None:

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_pages import LINK_GAIN, SENSORS, VERDICT, Page, content
 
-from symbid_ros.estimation.unexplained import UnexplainedForce
-from symbid_ros.estimation.verdict import (
+from symbid_ros.estimation.alarms import (
     SUSPICIOUS_NOISE,
     SUSPICIOUS_SCALE,
     SUSPICIOUS_WHITENESS,
 )
+from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.identification.intervals import IntervalSummary
 from symbid_ros.report.content import (
     METRICS,

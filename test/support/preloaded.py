@@ -21,7 +21,7 @@ LIBRARIES = (
     "symbid_ros.cli.app",
     "symbid_ros.cli.tables",
     "symbid_ros.offline.bags",
-    "symbid_ros.identification.holdout",
+    "symbid_ros.identification.pipeline",
     "symbid_ros.ros.balance_controller",
     "symbid_ros.ros.identifier",
     "symbid_ros.ros.monitor",

@@ -1,0 +1,157 @@
+"""Alarms: reasons not to trust an estimate, one line each."""
+
+from collections.abc import Sequence
+from enum import StrEnum
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.directions import determines_any
+from symbid_ros.estimation.mass_scale import weighing_residual
+from symbid_ros.estimation.posterior import Posterior, PseudoMeasurements
+from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
+
+# Largest factor on the prior's deviations by evidence. Above it, prior, kinematics or sensors are
+# wrong. A factor below 1 is harmless, as the prior is then only too wide.
+SUSPICIOUS_SCALE = 2.0
+# The same for a model file's values, whose ±25 % are a guess. A zero that is a centre of mass on an
+# axis gets a small deviation, so a correct log of a body with one widens it up to ten times.
+SUSPICIOUS_MODEL_SCALE = 20.0
+# Largest whiteness of residuals that count as white noise.
+SUSPICIOUS_WHITENESS = 1.4
+# Growth of the residuals by constraints. It is at most 1.07 in logs of eleven real robots.
+SUSPICIOUS_GROWTH = 1.4
+# Largest share of a direction's apparent information that may be noise in the regressor.
+SUSPICIOUS_NOISE = 0.5
+
+
+class Alarm(StrEnum):
+    """A phrase that each alarm of one kind contains, also in files; docs/errors.md explains it."""
+
+    NOTHING = "the data determined nothing"
+    WIDENED_PRIOR = "the data widened the prior"
+    PRIOR = "the data contradict the prior"
+    COLOURED = "the residuals are not white noise"
+    NOISY_MOTION = "of the information about one direction is noise"
+    WEIGHING = "contradicts the data, which say"
+    LIMITS = "the data contradict links that are physically possible"
+    TOTAL_MASS = "the total mass went from"
+    SOLES = "the poses of resting soles vary"
+    LACKING_JOINTS = "the log lacks"
+    READINGS = "as the efforts show"
+    UNPREDICTED_EFFORT = "is predicted, although the joint moves"
+    UNPREDICTED_END = "the log does not predict its own end"
+    WRONG_FACTORS = "the efforts have wrong factors"
+    WRIST_SENSOR = "times what the efforts of the joints imply"
+
+
+def is_coloured(whiteness: float, unexplained: Sequence[UnexplainedForce]) -> bool:
+    """Return whether residuals are correlated in time and not small against the forces.
+
+    Their size is unknown if ``unexplained`` is empty.
+    """
+    is_large = not unexplained or unexplained[0].share > SMALL
+    return whiteness > SUSPICIOUS_WHITENESS and is_large
+
+
+def alarms(
+    posterior: Posterior,
+    value: FloatArray,
+    parameters: int,
+    *,
+    whiteness: float,
+    unexplained: Sequence[UnexplainedForce] = (),
+    measurements: PseudoMeasurements | None = None,
+    rows: float = np.inf,
+) -> tuple[str, ...]:
+    """Return the alarms that an estimate and its data raise.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Posterior of the robot's parameters and the sensor errors.
+    value : (p + r,) float64
+        The estimate, which may differ from the posterior's mean.
+    parameters : int
+        Number p of the robot's parameters.
+    whiteness, unexplained
+        See :class:`symbid_ros.estimation.verdict.Verdict`.
+    measurements : PseudoMeasurements or None
+        Those of the posterior.
+    rows : float
+        Number of rows of all coordinates.
+    """
+    found = []
+    if not determines_any(
+        posterior.prior_factor[:parameters], posterior.deviation_factor[:parameters]
+    ):
+        found.append(
+            f"{Alarm.NOTHING}, and all numbers are those of the prior: record more motion, or name "
+            "fewer joint terms, as Coulomb friction needs windows in which each joint slips"
+        )
+    if posterior.chosen_scale > SUSPICIOUS_MODEL_SCALE:
+        found.append(
+            f"{Alarm.WIDENED_PRIOR} of the inertias {posterior.chosen_scale:.1f} times, from "
+            f"±25 % to ±{25 * posterior.chosen_scale:.0f} % of the model's values: the model lacks "
+            "a tool or payload, or its inertias, its kinematics, a sensor's gain or calibration is "
+            "wrong"
+        )
+    if posterior.prior_scale > SUSPICIOUS_SCALE:
+        found.append(
+            f"{Alarm.PRIOR}, which would have to be {posterior.prior_scale:.1f} "
+            "times wider: the prior, the kinematics or a sensor's calibration is wrong"
+        )
+    if is_coloured(whiteness, unexplained):
+        found.append(coloured_alarm(whiteness, unexplained))
+    if posterior.noise_share > SUSPICIOUS_NOISE:
+        found.append(
+            f"{100 * posterior.noise_share:.0f} % {Alarm.NOISY_MOTION} in the motion: "
+            "move more, or use longer windows"
+        )
+    weighing = weighing_residual(posterior, measurements)
+    if weighing is not None and weighing.is_contradiction:
+        found.append(
+            f"the weighing of {weighing.weighed:.2f} ± {weighing.weighed_std:.2g} kg "
+            f"{Alarm.WEIGHING} {weighing.implied:.2f} ± {weighing.implied_std:.2g} kg "
+            f"({abs(weighing.deviations):.0f} standard deviations): the weighing or a gain of the "
+            "forces is wrong, or a support without a sensor carries weight"
+        )
+    found += _contradicted_limits(posterior, value, rows)
+    return tuple(found)
+
+
+def _contradicted_limits(posterior: Posterior, value: FloatArray, rows: float) -> tuple[str, ...]:
+    """Return the alarm that possible links and drives hardly explain what others do explain."""
+    if rows < 1:
+        return ()
+    moved = posterior.factor @ (value - posterior.mean)
+    growth = float(np.sqrt(1.0 + moved @ moved / rows))
+    if growth < SUSPICIOUS_GROWTH:
+        return ()
+    return (
+        f"{Alarm.LIMITS} and drives that take power: with "
+        f"these the residuals are {growth:.1f} times as large as without; signs, units or zeros of "
+        "joints, or the kinematics are wrong",
+    )
+
+
+def coloured_alarm(
+    whiteness: float, unexplained: Sequence[UnexplainedForce], *, when: str = "", cause: str = ""
+) -> str:
+    """Return the alarm of residuals that are correlated in time.
+
+    Parameters
+    ----------
+    whiteness, unexplained
+        See :class:`symbid_ros.estimation.verdict.Verdict`.
+    when : str
+        When most of the force is unexplained, if that is known.
+    cause : str
+        What explains it, and what to do, if causes were tried.
+    """
+    size = f"{unexplained[0]}{when and f', mostly {when}'}: " if unexplained else ""
+    cause = cause or (
+        "the model lacks an effect or a sensor's calibration is wrong; identify a bag to have "
+        "likely causes tried"
+    )
+    return f"{size}{Alarm.COLOURED} (whiteness {whiteness:.1f}); {cause}"

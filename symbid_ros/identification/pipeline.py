@@ -1,0 +1,129 @@
+"""From a loaded log to a checked identification: the trial on its end, causes and alarms."""
+
+from contextlib import suppress
+from dataclasses import replace
+
+from symbid_ros.errors import SymbidError
+from symbid_ros.estimation.alarms import Alarm
+from symbid_ros.estimation.estimate import HoldOut
+from symbid_ros.identification.force_errors import RELEVANT
+from symbid_ros.identification.gain_check import Trial, wrist_sensor_alarms, wrong_factors
+from symbid_ros.identification.holdout import hold_out
+from symbid_ros.identification.joint_alarms import with_joint_alarms
+from symbid_ros.identification.likely_cause import explained
+from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.report_data import ForceSeries
+from symbid_ros.identification.report_series import (
+    PositionTrace,
+    coverage,
+    force_series,
+    report_data,
+)
+from symbid_ros.identification.solver import Identification
+from symbid_ros.identification.validation import validate_segments
+from symbid_ros.progress import report
+from symbid_ros.signals.segments import split
+from symbid_ros.signals.weak_form import WINDOWS
+
+# Verdicts with which the stated prior is tried.
+NOT_BETTER = "worse", "mixed", "unfit"
+PRIOR_KEPT = (
+    "the prior is kept at ±25 % (keep_prior): with the one that the data ask for, the trial erred "
+    "more, {}"
+)
+UNPREDICTED = (
+    f"{Alarm.UNPREDICTED_END}: {{}}; record longer and more varied motion, or correct what differs "
+    "there, such as a load or a contact"
+)
+
+
+def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identification]:
+    """Identify a log and check the result; a trial without its last quarter predicts the latter.
+
+    The trial chooses joint terms, prior scale and sensor errors from the earlier part alone. It
+    uses the window length of the whole log. If the identified robot predicts the last quarter worse
+    than the model file, and better with the stated prior, that prior is kept: where the equation of
+    motion is wrong, the data would widen it without bound. If factors on some joints' efforts
+    predict it much better, these are identified, and an alarm says so.
+
+    Returns
+    -------
+    LoadedProblem
+        The problem that was solved: the given one, or the same with the stated prior or with
+        factors of efforts.
+    Identification
+
+    Raises
+    ------
+    SymbidError
+        When the log cannot be identified.
+    """
+    report("solving")
+    found = problem.solve()
+    log = coverage(problem)
+    checked, forces = None, None
+    if not problem.options.no_holdout:
+        report("holding out the end of the log")
+        try:
+            checked, forces = hold_out(problem, found.window, log.begin)
+        except SymbidError as error:
+            checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {error}")
+        if checked.advice in NOT_BETTER and problem.options.is_empirical:
+            better = _with_kept_prior(problem, checked, log.begin)
+            if better is not None:
+                problem, found, checked, forces = better
+    alarm = None
+    if checked is not None and checked.advice == "unfit":
+        alarm = UNPREDICTED.format(checked.summary)
+    elif checked is not None:
+        wrong = wrong_factors(problem, checked, lambda one: _tried(one, log.begin))
+        if wrong is not None:
+            alarm = wrong.alarm
+            problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
+    found = problem.with_provenance(with_joint_alarms(problem, explained(problem, found)))
+    of_end = () if alarm is None else (alarm,)
+    found = found.with_alarms((*found.alarms, *wrist_sensor_alarms(problem), *of_end))
+    if forces is None:
+        forces = _predict_end(problem, found, log.begin)
+    found = replace(
+        found,
+        estimate=replace(found.estimate, holdout=checked),
+        report=report_data(problem, found, forces, log),
+    )
+    return problem, found
+
+
+def _tried(problem: LoadedProblem, begin: int) -> Trial:
+    found = problem.solve()
+    return Trial(problem, found, *hold_out(problem, found.window, begin))
+
+
+def _with_kept_prior(problem: LoadedProblem, before: HoldOut, begin: int) -> Trial | None:
+    """Identify with the stated prior; None unless that predicts the end of the log better."""
+    kept = problem.with_prior(problem.prior, replace(problem.options, keep_prior=True))
+    try:
+        trial = _tried(kept, begin)
+    except SymbidError:
+        return None
+    found, checked = trial.found, trial.checked
+    errors = checked.percent_after, before.percent_after
+    if errors[0] is None or errors[1] is None or RELEVANT * errors[0] >= errors[1]:
+        return None
+    remarks = (*found.estimate.remarks, PRIOR_KEPT.format(before.summary))
+    return trial._replace(found=replace(found, estimate=replace(found.estimate, remarks=remarks)))
+
+
+def _predict_end(problem: LoadedProblem, found: Identification, begin: int) -> ForceSeries | None:
+    """Predict the last quarter of the log, or all of a short one, with the final estimate."""
+    dataset, trace = problem.dataset, PositionTrace()
+    predictor = ForcePredictor.of(found, problem.parameters)
+    part = dataset.segments
+    with suppress(SymbidError):
+        _, part = split(dataset.segments, max(found.window, *WINDOWS), dataset.source)
+    try:
+        efforts = validate_segments(predictor, trace.of(part), dataset.source).efforts
+    except SymbidError:  # too short for a prediction
+        return None
+    model = predictor.parameters.model
+    return force_series(efforts, model, trace, begin=begin, window=found.window, is_held_out=False)
