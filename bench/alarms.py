@@ -26,6 +26,7 @@ from pathlib import Path
 from tempfile import gettempdir
 
 import numpy as np
+from development import EXAMPLE_ROBOTS, require_packages
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
@@ -566,6 +567,7 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="identify, and print the table")
     parser.add_argument("--seed", type=int, default=1, help="of the table")
     chosen = parser.parse_args()
+    require_packages(EXAMPLE_ROBOTS)
     CACHE.mkdir(exist_ok=True)
     if chosen.table:
         logging.disable(logging.WARNING)

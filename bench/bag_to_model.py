@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from development import require_packages
 from process_usage import SessionMemory
 from tables import markdown, save_plot, versions
 
@@ -57,6 +58,7 @@ def main() -> None:
     parser.add_argument("--checkout", type=Path)
     parser.add_argument("--plot", type=Path, metavar="SVG", help="of time against length")
     given = parser.parse_args()
+    require_packages("pin")
     print(f"{versions('numpy', 'scipy', 'numba', 'pin', 'rosbags')}\n")
     with kept_or_temporary(given.data) as folder:
         if given.growth:

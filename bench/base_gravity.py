@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from development import EXAMPLE_ROBOTS, require_packages
 from numpy.typing import NDArray
 from package_robots import load_robot
 from scipy.spatial.transform import Rotation
@@ -50,6 +51,7 @@ def main() -> None:
     options.add_argument("--draws", type=int, default=3)
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
+    require_packages(EXAMPLE_ROBOTS)
     logging.disable(logging.WARNING)
     threadpool_limits(1)
     print(f"| robot | friction | {' | '.join(COLUMNS)} |")

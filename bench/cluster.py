@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from bag_to_model import identify, kept_or_temporary, run, simulated
+from development import require_packages
 from tables import markdown, save_plot
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test" / "support"))
@@ -29,6 +30,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path)
     parser.add_argument("--plot", type=Path, metavar="SVG")
     given = parser.parse_args()
+    require_packages("distributed")
     with kept_or_temporary(given.data) as folder:
         bag = simulated(folder, given.seconds)
         command = identify(bag, folder, 1)

@@ -21,6 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from development import EXAMPLE_ROBOTS, require_packages
 from foreign_robots import load_robot
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
@@ -62,6 +63,7 @@ def main() -> None:
     options.add_argument("--no-collision", action="store_true")
     options.add_argument("--iterations", type=int, default=80)
     given = options.parse_args()
+    require_packages(EXAMPLE_ROBOTS)
     logging.disable(logging.WARNING)
     feet: tuple[str, ...] = ()
     if given.robot == "symbitron":

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from development import EXAMPLE_ROBOTS, require_packages
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test" / "support"))
 
@@ -105,6 +106,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
     parser.add_argument("--unchanged", action="store_true", help="no link is heavier")
     options = parser.parse_args()
+    require_packages(EXAMPLE_ROBOTS)
     named = 0
     for seed in range(options.first, options.first + options.draws):
         draw = simulate(seed, changed=not options.unchanged)

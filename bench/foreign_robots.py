@@ -40,6 +40,7 @@ import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
+from development import EXAMPLE_ROBOTS, require_packages
 from numpy.typing import NDArray
 from package_robots import carrying_components, legs, load_robot, posture, standing
 from scipy.interpolate import make_interp_spline
@@ -128,6 +129,7 @@ def main() -> None:
     options.add_argument("--warm-up", type=float, default=0.0, help="%% of viscous friction")
     options.add_argument("--model-errors", choices=("consistent", "separate"), default="consistent")
     given = options.parse_args()
+    require_packages(EXAMPLE_ROBOTS)
     geometry = KINEMATIC_ERRORS if given.kinematics else ()
     noise, feel = given.effort_noise / 100, not given.no_foot_sensors
     warm_up, errors = given.warm_up / 100, given.model_errors

@@ -21,6 +21,7 @@ from importlib.metadata import files
 from pathlib import Path
 
 import numpy as np
+from development import EXAMPLE_ROBOTS, require_packages
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
@@ -103,6 +104,7 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=100)
     options.add_argument("--seconds", type=float, default=60.0)
     given = options.parse_args()
+    require_packages(EXAMPLE_ROBOTS)
     logging.disable(logging.WARNING)
     print("| robot | effect | links | covered | square | base | covered | square | alarms |")
     print("|---|---|---|---|---|---|---|---|---|", flush=True)

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from development import EXAMPLE_ROBOTS, require_packages
 from foreign_robots import RATE, inaccurate, load_robot, move, plain, torque, with_friction
 from least_squares import Sampled, columns, sample, score, solve
 from real_data import REAL_DATA, FloatArray, RealLog, Recording, to_log
@@ -82,6 +83,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--python", type=Path, default=Path("build/peers/bin/python"))
     given = parser.parse_args()
+    require_packages(EXAMPLE_ROBOTS)
     threadpool_limits(1)
     installed = subprocess.run(
         [given.python, "-m", "pip", "list", "--format", "json"], capture_output=True, check=True

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pinocchio
+from development import EXAMPLE_ROBOTS, require_packages
 from scipy.sparse import csr_array
 from tables import markdown, save_plot
 from threadpoolctl import threadpool_limits
@@ -25,6 +25,9 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import STANDARD_GRAVITY, Joint, Link, RobotModel
 from symbid_ros.package_paths import config_file
+
+require_packages("pin", EXAMPLE_ROBOTS)
+import pinocchio  # noqa: E402
 
 ROBOT_DATA = Path(pinocchio.__file__).parents[4] / "share/example-robot-data/robots"
 ROBOTS = {

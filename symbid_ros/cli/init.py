@@ -77,7 +77,7 @@ def init(
         raise
     if foxglove is not None and layout is not None:
         write_text(foxglove, layout)
-        console.print(f"written: {foxglove}", markup=False, highlight=False)
+        console.print(f"wrote {foxglove}", markup=False, highlight=False)
     if setup is None or out is None:
         return
     setup.write(out)
@@ -86,6 +86,6 @@ def init(
     for lines in setup.comments.values():
         for line in lines:
             console.print(line, markup=False, highlight=False)
-    console.print(f"written: {out}", markup=False, highlight=False)
+    console.print(f"wrote {out}", markup=False, highlight=False)
     if not setup.is_usable:
         raise typer.Exit(1)

@@ -91,15 +91,12 @@ def live(
     from symbid_ros.atomic_write import require_no_files
     from symbid_ros.identification.result_files import CALIBRATED, RESULT_FILES
     from symbid_ros.model.load import load_model
+    from symbid_ros.online.initial_state import refuse_unused_live
     from symbid_ros.shutdown import exit_on_signals
 
-    if not NAMESPACE.fullmatch(namespace):
-        raise OptionError(
-            f"`namespace`: {namespace!r} is no ROS namespace; give names of letters, digits and _ "
-            "that begin with a letter, such as robot1/left_arm",
-            "E501",
-        )
+    _require_namespace(namespace)
     path = require_model(model, "MODEL")
+    refuse_unused_live(options, log)
     load_model(path, base)  # an error is better shown here than in the log of a node
     if out is not None:
         require_no_files(out, (*RESULT_FILES, *CALIBRATED), overwrite=overwrite)
@@ -162,6 +159,15 @@ def live(
                     raise KeyboardInterrupt from None
                 raise
     report_end(summary, console)
+
+
+def _require_namespace(name: str) -> None:
+    if not NAMESPACE.fullmatch(name):
+        raise OptionError(
+            f"`namespace`: {name!r} is not a ROS namespace; give names of letters, digits and _ "
+            "that begin with a letter, such as robot1/left_arm",
+            "E501",
+        )
 
 
 def report_end(summary: Mapping[str, Any], console: Console) -> None:

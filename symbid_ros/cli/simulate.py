@@ -234,7 +234,7 @@ def udp_client(
             "small and widen as the deviations of mass and centre of mass shrink."
         ),
     ] = None,
-    largest_torque_change: Annotated[
+    largest_change: Annotated[
         float,
         typer.Option(
             min=0.01,
@@ -273,7 +273,7 @@ def udp_client(
         from symbid_ros.learning.model_file import ModelFile
 
         models = ModelFile(
-            model_source, controller, largest_torque_change, lambda line: typer.echo(line, err=True)
+            model_source, controller, largest_change, lambda line: typer.echo(line, err=True)
         )
     with UdpClient(host, port, controller, models.update if models else None) as client:
         client.run(stop, timeout)

@@ -1,5 +1,6 @@
 """Tables and lines that commands print on the terminal."""
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -93,8 +94,10 @@ def _print_topics(
     """Print a table of topics, their types and other cells.
 
     On a narrow terminal, types break behind the package, then topics behind each slash. Names break
-    anywhere only if that does not suffice.
+    anywhere only if that does not suffice. In a pipe, each topic has one line.
     """
+    if not (console.is_terminal or "COLUMNS" in os.environ):
+        console = Console(highlight=False, width=UNLIMITED)
 
     def table(*breaks: bool, is_dense: bool = False, folds: bool = False) -> Table:
         table = Table(

@@ -50,7 +50,7 @@ def find_stance(robot: RobotModel, options: ExciteOptions) -> Stance:
         frame, _, kind = name.partition(":")
         if not is_contact_kind(kind):
             raise OptionError(
-                f"`feet`: {name!r} is no foot; give FRAME, FRAME:point or FRAME:RADIUS", "E920"
+                f"`feet`: {name!r} is not a foot; give FRAME, FRAME:point or FRAME:RADIUS", "E920"
             )
         own = robot.frame(frame, "feet")
         radius = contact_radius(robot, name)
@@ -110,7 +110,7 @@ def _posture(robot: RobotModel, feet: tuple[Foot, ...], options: ExciteOptions) 
         leg = np.flatnonzero(robot.ancestors[:, robot.frame(foot.frame).link])
         if len(leg) != 3:
             raise _no_stance(
-                robot, f"its posture is not known, as leg {foot.frame} is no leg of three joints"
+                robot, f"its posture is not known, as leg {foot.frame} is not a leg of three joints"
             )
         knee = robot.joints[leg[2]]
         bent = KNEE if knee.lower + knee.upper > 0 else -KNEE

@@ -76,7 +76,7 @@ def with_fast_motion(solver: Solver, dataset: Dataset) -> Solver:
     try:
         return _solved(_FastMotion.of(rows, solver), solver, dataset.source)
     except np.linalg.LinAlgError:  # readings without noise
-        logger.info("%s: the noise of fast motion cannot be told", dataset.source)
+        logger.info("%s: the noise of fast motion cannot be estimated", dataset.source)
         return solver
 
 

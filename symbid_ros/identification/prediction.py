@@ -195,7 +195,8 @@ class ForcePredictor:
         for text, one in zip(payloads, carried, strict=True):
             if one.frame is not None and one.name not in known:
                 raise OptionError(
-                    f"`payload` {text}: {self.name} does not know its place; give LINK,MASS,X,Y,Z",
+                    f"`payload` {text}: {self.name} has no position for this payload; give "
+                    "LINK,MASS,X,Y,Z",
                     "E503",
                 )
         return replace(self, parameters=replace(self.parameters, payloads=carried))

@@ -44,7 +44,8 @@ class RobotOptions(MountingOptions):
         for name in self.contacts:
             if not is_contact_kind(name.partition(":")[2]):
                 raise OptionError(
-                    f"`contact`: {name!r} is no contact; give FRAME, FRAME:point or FRAME:RADIUS",
+                    f"`contact`: {name!r} is not a contact; give FRAME, FRAME:point or "
+                    "FRAME:RADIUS",
                     "E501",
                 )
 

@@ -48,7 +48,11 @@ class LogOptions:
     )
     imu_topic: tuple[str, ...] = option((), "Imu topic.", group=GROUP, unset="all of them")
     wrench_topic: tuple[str, ...] = option(
-        (), "WrenchStamped topic.", group=GROUP, unset="all that are named wrench"
+        (),
+        "WrenchStamped topic.",
+        group=GROUP,
+        unset="all that are named wrench; if bags of a floating robot have none and no `contact` "
+        "is given, all of this type, with a warning",
     )
     pose_topic: tuple[str, ...] = option(
         (),
@@ -108,7 +112,8 @@ class LogOptions:
         "Joint that is not recorded and its constant position in rad (m), such as "
         "wrist_joint:=0.5.",
         group=MAPPING,
-        unset="joints that the log lacks are held at 0, with a warning",
+        unset="in bags, joints that the log lacks are held at 0, with a warning, unless it has "
+        "joints that the model lacks",
     )
     position_scale: tuple[str, ...] = option(
         (),

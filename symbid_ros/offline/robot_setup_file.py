@@ -117,7 +117,7 @@ DESCRIPTIONS = {
     "hold_joint": "JOINT:=POSITION in rad (m) of joints that the log lacks.",
     "position_scale": "JOINT:=RAD_PER_UNIT of positions and velocities, such as degrees.",
     "effort_scale": "JOINT:=NM_PER_UNIT of efforts that are not in Nm (N), such as currents.",
-    "drive_gain": "Joints whose effort_scale is uncertain; its error is identified, not live.",
+    "drive_gain": "Joints whose effort_scale is uncertain; its error is identified offline only.",
     "flip_wrench": "Frames whose sensor measures the wrench of the robot on its environment.",
     "rotate_imu": "FRAME:=ROLL,PITCH,YAW in degrees of an IMU's axes in its frame of the model.",
     "contact": "Frames at which something touches the robot without a wrench sensor.",

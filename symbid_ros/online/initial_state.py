@@ -21,8 +21,10 @@ from symbid_ros.identification.prior_options import (
 )
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.tares import Tare
+from symbid_ros.messages.log_options import PART, LogOptions
 from symbid_ros.model.load import model_files
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.options import refuse_unused
 
 logger = logging.getLogger(__name__)
 
@@ -104,6 +106,19 @@ class InitialState:
             )
             for one in self.observations
         )
+
+
+def refuse_unused_live(options: IdentifyOptions, log: LogOptions) -> None:
+    """Refuse options that have no effect live.
+
+    Raises
+    ------
+    OptionError
+        When one of them differs from its default.
+    """
+    reason = "live, where messages are used as they arrive; leave it out"
+    refuse_unused(options, reason, {"no_holdout", "full_rate", "jobs"})
+    refuse_unused(log, reason, PART)
 
 
 def _check_online(options: IdentifyOptions) -> None:

@@ -51,7 +51,7 @@ PARAMETERS = (
         choices=("file", "identifier"),
     ),
     Parameter(
-        "largest_torque_change",
+        "largest_change",
         0.25,
         "Largest change of a torque that an identified model may cause, as a share of the drive's "
         "limit.",
@@ -212,7 +212,7 @@ class BalanceNode:
         self._publisher = CommandPublisher(node, self._controller.drive_names)
         self._models: ModelSource | None = None
         if learns:
-            self._models = ModelSource(node, self._controller, values["largest_torque_change"])
+            self._models = ModelSource(node, self._controller, values["largest_change"])
         # Measurements with and without an answer, and backward jumps of the clock.
         self._answers = {"answered": 0, "unanswered": 0, "restarts": 0}
         self._stamp = 0

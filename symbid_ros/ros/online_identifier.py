@@ -30,7 +30,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.estimate import OnlineEstimate
 from symbid_ros.online.identification import OnlineIdentification, Pace
-from symbid_ros.online.initial_state import InitialState
+from symbid_ros.online.initial_state import InitialState, refuse_unused_live
 from symbid_ros.online.tare import TareRecording
 from symbid_ros.ros.estimate_topics import EstimateTopics
 from symbid_ros.ros.identifier_diagnostics import IdentifierDiagnostics
@@ -96,7 +96,9 @@ class OnlineIdentifier:
         self._node = node
         model = load_model(*model_of(values))
         options = identify_options(values)
-        topics = TopicSelection.of(log_options(values))
+        log = log_options(values)
+        refuse_unused_live(options, log)
+        topics = TopicSelection.of(log)
         names = ModelNames.of(model)
         check_model_names(topics.mapping, names, has_poses=bool(topics.poses))
         self._initial_state = InitialState.of(model, options, _read_tares(options, model, topics))
@@ -129,7 +131,7 @@ class OnlineIdentifier:
         self._unused: set[str] = set()
         self._subscriptions: tuple[tuple[Topic, RawSubscription], ...] = ()
         self._topics = EstimateTopics(node, self._parameters)
-        self._markers = InertiaMarkers(node, self._parameters, log_options(values).frame_prefix)
+        self._markers = InertiaMarkers(node, self._parameters, log.frame_prefix)
         self._described = float("-inf")
         self._solves = 0
         self._newest: OnlineEstimate | None = None

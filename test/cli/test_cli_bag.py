@@ -1,6 +1,9 @@
 """``symbid bag info`` and ``symbid bag recover`` as a user runs them."""
 
 import json
+import os
+import subprocess
+import sys
 from itertools import takewhile
 from pathlib import Path
 
@@ -77,6 +80,18 @@ def test_tables_fit_the_terminal_and_lose_nothing(symbid_here, bag, columns) -> 
         assert "/robot/joint_states" in names
         assert "sensor_msgs/JointState" in types
         assert "…" not in ended.stdout
+
+
+def test_in_a_pipe_each_topic_has_a_line(bag) -> None:
+    told = subprocess.run(
+        [Path(sys.executable).parent / "symbid", "bag", "info", bag],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={name: value for name, value in os.environ.items() if name != "COLUMNS"},
+    )
+    lines = [line.split() for line in told.stdout.splitlines()]
+    assert ["/robot/joint_states", "sensor_msgs/JointState"] in [line[:2] for line in lines]
 
 
 @pytest.mark.parametrize("columns", [60, 70, 80, 100])

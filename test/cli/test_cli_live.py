@@ -51,8 +51,18 @@ def test_a_wrong_model_is_reported_before_any_node_starts(symbid_here, tmp_path)
 def test_an_invalid_namespace_is_refused(symbid_here, name: str) -> None:
     refused = symbid_here("live", MODEL, "--namespace", name)
     assert refused.returncode == 2
-    assert f"--namespace: {name!r} is no ROS namespace" in refused.stderr
+    assert f"--namespace: {name!r} is not a ROS namespace" in refused.stderr
     assert "E501" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    "option", [("--start", 10), ("--stop", 10), ("--no-holdout",), ("--jobs", 2), ("--full-rate",)]
+)
+def test_options_of_complete_logs_are_refused(symbid_here, option) -> None:
+    refused = symbid_here("live", MODEL, *option)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert f"{option[0]} has no effect live" in refused.stderr
+    assert "E503" in refused.stderr
 
 
 def test_an_earlier_result_is_kept(symbid_here, tmp_path) -> None:

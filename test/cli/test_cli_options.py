@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import typer.main
@@ -28,6 +29,17 @@ def test_help_shows_no_value_beside_a_flag(symbid_here, words):
     assert shown.returncode == 0
     assert "--help" in shown.stdout
     assert not re.search(r"<bool>|BOOL", shown.stdout)
+
+
+def test_each_command_has_a_table_of_its_options_in_the_documentation():
+    page = (Path(__file__).parents[2] / "docs" / "options.md").read_text()
+    names = [" ".join(words[1:]) for words in commands(typer.main.get_command(app))]
+    assert [name for name in names if f"```{{options}} {name}\n" not in page] == []
+
+
+@pytest.mark.parametrize("words", commands(typer.main.get_command(app)), ids=" ".join)
+def test_help_has_frames_on_a_terminal_of_usual_width(symbid_here, words):
+    assert "╭─ Options" in symbid_here(*words[1:], "--help", columns=80).stdout
 
 
 @pytest.mark.parametrize("columns", [60, 79, 80, 100])
@@ -212,6 +224,7 @@ def test_loading_the_simulator_starts_no_process(tmp_path):
     """A child would print a traceback after Ctrl-C."""
     program = """
 import sys
+from pathlib import Path
 from symbid_ros.cli.main import main
 sys.addaudithook(lambda event, _: event == "subprocess.Popen" and sys.stderr.write("a process\\n"))
 main()

@@ -151,7 +151,7 @@ def test_validation_knows_what_the_robot_carries_in_its_log(robot, loaded, text)
         assert sy.validate(result, empty).percent_after < 1.0
         assert sy.validate(result, carrying, payload=[text]).percent_after < 1.0
         assert sy.validate(result, carrying).percent_after > 5.0
-        with pytest.raises(OptionError, match="does not know its place"):
+        with pytest.raises(OptionError, match="has no position for this payload"):
             sy.validate(result, carrying, payload=[f"{robot.link_names[-1]},{MASS}"])
 
 
