@@ -164,9 +164,9 @@ def regressor(
     robot : RobotModel, str or Path
         A robot or its file.
     position, velocity, acceleration : (N, J) array_like
-        Joint motion in the order of ``robot.joint_names``, rad or m; a pandas table with these
-        columns may have them in any order. Mimic joints follow their leaders whatever their
-        columns say.
+        Joint motion in the order of ``robot.joint_names``: rad, rad/s and rad/s² (m, m/s and m/s²
+        for prismatic joints). A pandas table with these columns may have them in any order. Mimic
+        joints follow their leaders whatever their columns say.
     base : BaseMotion, optional
         Motion of the base in its own axes; required if the base floats.
     options : IdentifyOptions, optional
@@ -176,7 +176,8 @@ def regressor(
     -------
     (N, n, p) float64
         n coordinates: moment and force on a floating base, then the joints; p parameters, those of
-        ``robot.inertial_parameters`` first. The row of a leader includes the forces of its mimic
+        ``robot.inertial_parameters`` first. With these in SI units, K φ is in Nm and N. The row of
+        a leader includes the forces of its mimic
         joints, whose rows are zero.
 
     Raises

@@ -88,6 +88,17 @@ class Metrics:
     """The thesis's five attributes (section IV-B); a vector's error is its norm per sample.
 
     Generalised forces and torques are compared where :func:`obeying_joints` is true.
+
+    Attributes
+    ----------
+    gen_force_rmse, torque_rmse : float
+        All coordinates (Nm and N), and the joints alone (Nm, or N of prismatic joints).
+    com_position_rmse_mm : float
+        Centre of mass in the base's frame, mm.
+    com_momentum_rmse : float
+        Centroidal momentum, angular (Nms) and linear (Ns).
+    parameter_error_pct : float
+        Mean of the relative errors of the inertial parameters, %.
     """
 
     gen_force_rmse: float

@@ -44,9 +44,9 @@ class ForceError:
     unit : str
         Nm or N.
     measured : float
-        RMS of the measured effort or base wrench.
+        RMS of the measured effort or base wrench, in ``unit``.
     rmse_before, rmse_after : float
-        RMS error of the original and of the identified model.
+        RMS error of the original and of the identified model, in ``unit``.
     rows : int
         Number of rows in which the equation of motion holds.
     coverage : float or None

@@ -227,8 +227,7 @@ class Result:
     @property
     def alarms(self) -> tuple[str, ...]:
         """Reasons not to trust the result, one sentence each."""
-        verdict = self.estimate.verdict
-        return () if verdict is None else verdict.alarms
+        return self._identification.alarms
 
     @property
     def covariance(self) -> FloatArray:

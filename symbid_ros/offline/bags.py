@@ -271,6 +271,8 @@ def read_realistic_motion(
 def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str | Path]) -> Metrics:
     """Compare an identified robot with the true robot of a simulation.
 
+    A robot that does not explain the forces of the bag is named in a warning.
+
     Parameters
     ----------
     robot : RobotModel

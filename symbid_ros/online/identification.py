@@ -414,6 +414,8 @@ class OnlineIdentification:
         self, solver: Solver, change: Change | None, *, with_verdict: bool
     ) -> OnlineEstimate:
         found = self._identify(solver, with_verdict=with_verdict)
+        # Truncated methods have no covariance, and may be far from what the data and prior say.
+        value = solver.posterior.mean if found.factor is None else found.unknowns
         window = solver.chosen.window
         rows = RowSettings("weak", window=window)
         found = replace(found, estimate=replace(found.estimate, rows=rows))
@@ -422,7 +424,7 @@ class OnlineIdentification:
             solver.problem.parameters,
             self._until,
             window,
-            solver.alarms(found.unknowns),
+            solver.alarms(value),
             change,
             None if change is not None else self._monitor.followed,
         )

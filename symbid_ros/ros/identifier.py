@@ -118,11 +118,12 @@ def identify_bags(node: Node, values: dict[str, Any], stop: Event) -> None:
         f"estimate of {estimate.model} by {estimate.method}: {estimate.samples} rows per coordinate"
     )
     verdict = estimate.verdict
-    alarms = () if verdict is None else verdict.alarms
-    for alarm in alarms:
+    for alarm in found.alarms:
         node.get_logger().warning(f"alarm: {alarm}")
     details = {} if verdict is None else {"window": f"{verdict.window:g}"}
-    StatusPublisher(node, lambda: [estimate_status(estimate, alarms, details)], estimate.model)
+    StatusPublisher(
+        node, lambda: [estimate_status(estimate, found.alarms, details)], estimate.model
+    )
     stop.wait()
 
 

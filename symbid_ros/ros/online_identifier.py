@@ -406,10 +406,8 @@ class OnlineIdentifier:
 
     def _alarms_of(self, estimate: OnlineEstimate) -> tuple[str, ...]:
         """Return the alarms of the verdict or, without one, those that are not too early."""
-        verdict = estimate.found.estimate.verdict
-        if verdict is not None:
-            return verdict.alarms
-        return estimate.alarms if self._live.can_tell_fit else ()
+        is_exact = estimate.found.estimate.verdict is not None
+        return estimate.alarms if is_exact or self._live.can_tell_fit else ()
 
     def _final_estimate(self) -> OnlineEstimate | None:
         """Return the estimate from all data, or the newest one if there is too little time.

@@ -111,6 +111,15 @@ def test_an_estimate_on_the_way_has_the_alarms_of_a_verdict(start, feed) -> None
     assert exact.alarms == exact.found.alarms
 
 
+def test_a_truncated_method_does_not_contradict_possible_links(start, feed) -> None:
+    """Its estimate is far from the most probable one, whatever the data say."""
+    live = start(method="ols", **LINKS)
+    feed.into(live)
+    found = live.solve(exactly=True)
+    assert found.found.factor is None
+    assert found.alarms == ()
+
+
 def test_live_messages_give_the_estimate_of_their_bag(start, feed, offline) -> None:
     live = start()
     outcomes = feed.into(live, solving=1.0)
