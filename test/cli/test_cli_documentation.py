@@ -20,6 +20,7 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -267,8 +268,11 @@ def update(command: Command, printed: list[str]) -> None:
     old = [*(command.output or ())]
     new = [line.rstrip() for line in printed]
     if TRIMMED in old:
-        before, after = old.index(TRIMMED), len(old) - old.index(TRIMMED) - 1
-        new = [*new[:before], TRIMMED, *new[len(new) - after :]]
+        before, after = old.index(TRIMMED), old[::-1].index(TRIMMED)
+        # What stands between two trimmed parts is found by its words.
+        by_words = {NUMBER.sub("#", line): line for line in new}
+        middle = [by_words.get(NUMBER.sub("#", one), one) for one in old[before : len(old) - after]]
+        new = [*new[:before], *middle, *new[len(new) - after :]]
     shown = re.escape(command.words + "\n" + "".join(f"{line}\n" for line in old))
     text = command.page.read_text(encoding="utf-8")
     whole = command.words + "\n" + "".join(f"{line}\n" for line in new)
@@ -285,8 +289,13 @@ def test_python_runs_as_it_is_shown(page, checkout, short, tmp_path, monkeypatch
     for made in checkout.iterdir():
         (tmp_path / made.name).symlink_to(short if made.name == "my_bag" else made)
     monkeypatch.chdir(tmp_path)
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
         exec(compile(PROGRAMMED[page], page, "exec"), {})
+    of_page = [block for block in BLOCKS if block.page == page]
+    for code, shown in pairwise(of_page):
+        if (code.language, shown.language) == ("python", "text"):
+            for line in shown.lines:
+                assert any(are_alike(line, one) for one in printed.getvalue().splitlines()), line
 
 
 def test_data_is_well_formed() -> None:
