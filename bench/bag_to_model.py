@@ -29,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 from process_usage import SessionMemory
-from tables import markdown, save_plot, versions
+from tables import markdown, save_plot
 
 HERE = Path(__file__).resolve().parent
 MODEL = HERE.parent / "config" / "symbitron.urdf"
@@ -57,7 +57,6 @@ def main() -> None:
     parser.add_argument("--checkout", type=Path)
     parser.add_argument("--plot", type=Path, metavar="SVG", help="of time against length")
     given = parser.parse_args()
-    print(f"{versions('numpy', 'scipy', 'numba', 'pin', 'rosbags')}\n")
     with kept_or_temporary(given.data) as folder:
         if given.growth:
             growth(folder, given.growth, max(given.jobs), given.repeats, given.plot)

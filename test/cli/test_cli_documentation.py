@@ -393,6 +393,22 @@ def test_options_in_running_text_are_those_of_a_command() -> None:
             assert option in known | OTHER_OPTIONS, f"{page.name}: {span}"
 
 
+def test_links_lead_to_sections_that_github_has() -> None:
+    """GitHub makes names of headings in a way of its own; the site accepts these names too."""
+
+    def sections(page: Path) -> set[str]:
+        text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+        titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+        return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+    for page in PAGES:
+        for file, section in re.findall(
+            r"\]\(([\w./-]*\.md)?#([^)]+)\)", page.read_text(encoding="utf-8")
+        ):
+            target = (page.parent / file) if file else page
+            assert section in sections(target), f"{page.name}: {file}#{section}"
+
+
 def test_files_named_in_running_text_exist() -> None:
     named = [
         (page.name, span)
