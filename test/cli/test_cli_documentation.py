@@ -409,6 +409,12 @@ def test_links_lead_to_sections_that_github_has() -> None:
             assert section in sections(target), f"{page.name}: {file}#{section}"
 
 
+def test_the_readme_lists_every_page() -> None:
+    elsewhere = {"index.md", "changelog.md", "contributing.md"}
+    listed = set(re.findall(r"\]\(docs/([\w-]+\.md)", (ROOT / "README.md").read_text()))
+    assert {page.name for page in (ROOT / "docs").glob("*.md")} - elsewhere == listed
+
+
 def test_files_named_in_running_text_exist() -> None:
     named = [
         (page.name, span)
