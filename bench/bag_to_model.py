@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 from development import require_packages
 from process_usage import SessionMemory
-from tables import markdown, save_plot, versions
+from tables import markdown, save_plot
 
 HERE = Path(__file__).resolve().parent
 MODEL = HERE.parent / "config" / "symbitron.urdf"
@@ -59,7 +59,6 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, metavar="SVG", help="of time against length")
     given = parser.parse_args()
     require_packages("pin")
-    print(f"{versions('numpy', 'scipy', 'numba', 'pin', 'rosbags')}\n")
     with kept_or_temporary(given.data) as folder:
         if given.growth:
             growth(folder, given.growth, max(given.jobs), given.repeats, given.plot)
@@ -113,11 +112,11 @@ def growth(
     for length in minutes:
         command = identify(simulated(folder, 60 * length), folder, jobs)
         wall, processor, memory = medians([run(command, {}) for _ in range(repeats)])
-        rows.append([length, wall, processor, memory, wall / length])
-    head = ["log, min", "s", "processor s", "peak MB", "s per minute of log"]
+        rows.append([length, wall, processor, memory, processor / length])
+    head = ["log, min", "s", "processor s", "peak MB", "processor s per minute of log"]
     print(markdown(head, rows, digits=3))
     if plot is not None:
-        lines = {"s": [row[1] for row in rows], "peak MB": [row[3] for row in rows]}
+        lines = {"processor s": [row[2] for row in rows], "peak MB": [row[3] for row in rows]}
         save_plot(plot, "minutes of log at 1 kHz", minutes, lines)
 
 

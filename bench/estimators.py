@@ -7,9 +7,9 @@ Prints a Markdown table. One draw is a prior and a log with its noise. Logs are 
 into a temporary folder. The estimates are evaluated on an ideal smooth log of another motion. The
 cases smooth, vibrating, one_leg and stepping have no systematic errors. In the case errors, a
 smooth log of a robot with typical systematic errors is identified with a tare and a weighing, in
-the case uncured without them. The cases lengths, delays and everything add wrong link lengths, late
-sensors, and both with different sample rates and quantisation; these are estimated as well. The
-case tracked has the logs of everything with a topic of the base's pose. A draw takes about a
+the case uncorrected without them. The cases lengths, delays and everything add wrong link lengths,
+late sensors, and both with different sample rates and quantisation; these are estimated as well.
+The case tracked has the logs of everything with a topic of the base's pose. A draw takes about a
 minute.
 
 With `--bound` the Bayesian Cramér-Rao bounds of the centre of mass and of the torque are printed
@@ -60,7 +60,7 @@ CASES = {
     "smooth": ("smooth", "", ()),
     "vibrating": ("vibrating", "", ()),
     "errors": ("smooth", "typical", ("typical",)),
-    "uncured": ("smooth", "typical", ()),
+    "uncorrected": ("smooth", "typical", ()),
     "lengths": ("smooth", "typical,link_length", ("typical", "link_length")),
     "delays": ("smooth", "typical,delays", ("typical", "sensor_delay")),
     "everything": (

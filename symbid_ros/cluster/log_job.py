@@ -163,7 +163,8 @@ class ClusterSegments(DistributedSegments):
             When the log is unusable.
         """
         columns = describe_columns(parameters)
-        rows = processing.windows, processing.full_rate, self.first
+        grouping = processing.grouping.period, processing.grouping.start
+        rows = processing.windows, processing.full_rate, self.first, grouping
         tasks = [
             self.cluster.submit(fold_part, self.log, columns, rows, astuple(part), tuple(mean))
             for part in self.parts

@@ -23,6 +23,7 @@ from symbid_ros.bags import bag_info, bag_log, count_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.estimation.archive import pack_observations, unpack_observations
+from symbid_ros.estimation.group_moments import Grouping
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.provenance import digest, list_inputs
 from symbid_ros.identification.assumed_contacts import assumed_contacts
@@ -130,7 +131,7 @@ def digest_bag(location: str) -> list[tuple[str, str | None, int | None]]:
 def fold_part(
     log: str,
     columns: str,
-    rows: tuple[Sequence[float], bool, int],
+    rows: tuple[Sequence[float], bool, int, tuple[int, int]],
     part: tuple[int, ...],
     mean: Sequence[float],
 ) -> dict[str, Any]:
@@ -142,9 +143,9 @@ def fold_part(
         The log, from :func:`describe_log`.
     columns : str
         The parameters, from :func:`describe_columns`.
-    rows : (sequence of float, bool, int)
-        Lengths of the windows, s, whether every sample has a row before averaging, and the first
-        stamp of the log, ns.
+    rows : (sequence of float, bool, int, (int, int))
+        Lengths of the windows, s, whether every sample has a row before averaging, the first stamp
+        of the log, ns, and period and start of the grouping, ns.
     part : tuple of int
         Fields of :class:`Part`.
     mean : sequence of float
@@ -152,7 +153,10 @@ def fold_part(
     """
     opened, parameters = _OpenLog.of(log), _parameters(log, columns)
     source, found = opened.source(Part(*part)), None
-    processing = Processing(windows=tuple(rows[0]), full_rate=rows[1], first=rows[2])
+    windows, full_rate, first, grouping = rows
+    processing = Processing(
+        windows=tuple(windows), full_rate=full_rate, first=first, grouping=Grouping(*grouping)
+    )
     with _turn, _warnings() as messages:
         checks = StreamChecks(parameters.model) if len(mean) else None
         segments = opened.segments(Part(*part), checks)

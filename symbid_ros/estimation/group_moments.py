@@ -28,6 +28,35 @@ COLUMNS = 12
 
 
 @dataclass(frozen=True)
+class Grouping:
+    """Which group a row belongs to: periods of a log are dealt to the groups in turn.
+
+    Attributes
+    ----------
+    period : int
+        Length of a period, ns.
+    start : int
+        Stamp at which one begins, ns.
+    """
+
+    period: int = SECOND
+    start: int = 0
+
+    @classmethod
+    def contiguous(cls, start: int, stop: int) -> "Grouping":
+        """Return the grouping of a log into as many contiguous parts as there are groups."""
+        return cls((stop - start) // GROUPS + 1, start)
+
+    def of(self, stamp: IntArray) -> IntArray:
+        """Return the groups (N,) of rows at stamps (N,), ns."""
+        groups: IntArray = (stamp - self.start) // self.period % GROUPS
+        return groups
+
+
+BY_SECONDS = Grouping()
+
+
+@dataclass(frozen=True)
 class CoordinateMoments:
     """Moments of one coordinate's rows in each group.
 
@@ -85,14 +114,18 @@ class GroupMoments:
         Of each coordinate that has columns.
     counts : (GROUPS, n) float64
         Valid rows of each coordinate in each group.
+    grouping : Grouping
     """
 
     layout: RowLayout
     parts: tuple[CoordinateMoments, ...]
     counts: FloatArray
+    grouping: Grouping = BY_SECONDS
 
     @classmethod
-    def empty(cls, layout: RowLayout, *, candidates: bool = False) -> "GroupMoments":
+    def empty(
+        cls, layout: RowLayout, *, candidates: bool = False, grouping: Grouping = BY_SECONDS
+    ) -> "GroupMoments":
         """Return the moments of no data; all moments of joints whose terms are candidates."""
         complete = layout.term_coordinates if candidates else frozenset()
         parts = []
@@ -106,7 +139,7 @@ class GroupMoments:
             parts.append(
                 CoordinateMoments(coordinate, left, np.zeros((GROUPS, len(left), count + 1)))
             )
-        return cls(layout, tuple(parts), np.zeros((GROUPS, len(layout.coordinates))))
+        return cls(layout, tuple(parts), np.zeros((GROUPS, len(layout.coordinates))), grouping)
 
     @property
     def complete(self) -> tuple[CoordinateMoments, ...]:
@@ -132,7 +165,7 @@ class GroupMoments:
 
     def fold_flat(self, flat: FloatArray, valid: BoolArray, stamp: IntArray) -> "GroupMoments":
         """Return the moments with more flat rows (N, w), valid at some coordinates (N, n)."""
-        group = (stamp // SECOND) % GROUPS
+        group = self.grouping.of(stamp)
         counts = self.counts.copy()
         np.add.at(counts, group, valid)
         order = np.argsort(group, kind="stable")
@@ -151,7 +184,7 @@ class GroupMoments:
         parts = tuple(
             replace(part, moments=each) for part, each in zip(self.parts, sums, strict=True)
         )
-        return GroupMoments(self.layout, parts, counts)
+        return replace(self, parts=parts, counts=counts)
 
     def discounted(self, share: float) -> "GroupMoments":
         """Return the moments with every row's weight times ``share``, from 0 to 1."""
@@ -168,7 +201,7 @@ class GroupMoments:
             left, here, there = np.intersect1d(one.left, two.left, return_indices=True)
             moments = one.moments[:, here] + two.moments[:, there]
             parts.append(CoordinateMoments(one.coordinate, left, moments))
-        return GroupMoments(self.layout, tuple(parts), self.counts + other.counts)
+        return replace(self, parts=tuple(parts), counts=self.counts + other.counts)
 
     def restricted(self, layout: RowLayout) -> "GroupMoments":
         """Return the moments for a layout with some of the parameters, the others being zero."""
@@ -180,7 +213,7 @@ class GroupMoments:
             some = used[part.left]
             moments = part.moments[:, some][:, :, used]
             parts.append(CoordinateMoments(part.coordinate, place[part.left[some]], moments))
-        return GroupMoments(layout, tuple(parts), self.counts)
+        return replace(self, layout=layout, parts=tuple(parts))
 
     def correlation(self, phi: FloatArray, variance: FloatArray) -> FloatArray:
         """Return by how much residuals at φ vary more from group to group than independent ones.

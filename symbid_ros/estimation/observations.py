@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.group_moments import GroupMoments
+from symbid_ros.estimation.group_moments import BY_SECONDS, Grouping, GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout
 from symbid_ros.estimation.unfolded_rows import UnfoldedRows
 from symbid_ros.signals.sampled_rows import SampledRows
@@ -74,11 +74,18 @@ class Observations:
     is_coupled: bool = True
 
     @classmethod
-    def empty(cls, layout: RowLayout, window: float, *, candidates: bool = False) -> "Observations":
+    def empty(
+        cls,
+        layout: RowLayout,
+        window: float,
+        *,
+        candidates: bool = False,
+        grouping: Grouping = BY_SECONDS,
+    ) -> "Observations":
         """Return the observations of no data; ``candidates`` tells whether the terms are such."""
         n = len(layout.coordinates)
         nothing = Information.empty(layout)
-        groups = GroupMoments.empty(layout, candidates=candidates)
+        groups = GroupMoments.empty(layout, candidates=candidates, grouping=grouping)
         one = cls(nothing, nothing, np.zeros((n, n)), window, groups=groups)
         return replace(one, slipping=one) if candidates else one
 

@@ -348,17 +348,18 @@ class _Square:
 
         A file that is right to a percent or two in the directions that a log shows was identified
         from another log, and says little of others. So deviations that the evidence narrows below
-        ``IDENTIFIED`` hold as far as the data judge their direction: 1 / (1 + h)² of what they lack
-        of the stated variance is added, with h the information in stated deviations. The estimate
-        itself is that of the narrow prior, because faint effects that the model lacks would pull it
-        far from the file in such directions.
+        ``IDENTIFIED`` hold as far as the data judge their direction: N is (1 + H)⁻¹ times what they
+        lack of the stated deviations, with H the information in these. The estimate itself is that
+        of the narrow prior, because faint effects that the model lacks would pull it far from the
+        file in such directions.
         """
         if np.all(scale >= 1):
             return None
+        lacking = np.sqrt(np.maximum(1 - scale**2, 0.0) / (1 + (scale / IDENTIFIED) ** 4))
+        # A function of the matrix of information: one of each eigenvector's would depend on those
+        # that rounding chooses where no row shows anything.
         information, V = np.linalg.eigh(self.G - self.T)
-        variance = np.sum((scale[:, None] * V) ** 2, axis=0)
-        lacking = np.maximum(1 - variance, 0.0) / (1 + (variance / IDENTIFIED**2) ** 2)
-        root: FloatArray = V * np.sqrt(lacking) / (1 + np.maximum(information, 0.0))
+        root: FloatArray = (V / (1 + np.maximum(information, 0.0))) @ (V.T * lacking)
         return root
 
     def evidence(self, judged: IntArray) -> "PriorEvidence":

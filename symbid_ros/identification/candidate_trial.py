@@ -11,6 +11,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS
+from symbid_ros.estimation.group_moments import BY_SECONDS, Grouping
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
@@ -67,6 +68,7 @@ def try_columns(
     parameters: ParameterSet,
     *,
     slips: bool,
+    grouping: Grouping = BY_SECONDS,
 ) -> Trial | None:
     """Return the posterior with further columns; None if the log is too short.
 
@@ -81,12 +83,15 @@ def try_columns(
         All candidate terms, and the further columns.
     slips : bool
         Whether to use only rows of slipping joints.
+    grouping : Grouping
+        Which rows are left out together when columns are judged by the rows that they predict.
     """
     problem, window = solver.problem, solver.chosen.window
     choice = problem.choice
     assert choice is not None
+    processing = Processing(windows=(window,), grouping=grouping)
     try:
-        trial = fold_dataset(training, source, parameters, Processing(windows=(window,)))
+        trial = fold_dataset(training, source, parameters, processing)
     except SymbidError:
         return None
     # The prior of the links, with the scale that the evidence gave it.

@@ -14,6 +14,7 @@ from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
+from symbid_ros.estimation.group_moments import BY_SECONDS, Grouping
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.folding_pool import FoldingPool, available_cores, read_ahead
@@ -305,6 +306,8 @@ class Processing:
     first : int or None
         First stamp of the log, ns, if the segments are a part of it; from there on, noise is
         replayed in fewer and fewer blocks. None if they start with it.
+    grouping : Grouping
+        Which rows are left out together when terms are judged by the rows that they predict.
     """
 
     smoothing: Smoothing | None = None
@@ -312,6 +315,7 @@ class Processing:
     full_rate: bool = False
     jobs: int = field(default=1, compare=False)
     first: int | None = field(default=None, compare=False)
+    grouping: Grouping = BY_SECONDS
 
     @classmethod
     def of(cls, options: IdentifyOptions) -> "Processing":
@@ -422,6 +426,7 @@ def fold_dataset(
             full_rate=processing.full_rate,
             jobs=processing.jobs,
             first=processing.first,
+            grouping=processing.grouping,
         )
         samples, spans = concatenated(probes.parts), tuple(probes.spans)
         observations = tuple(one for one in observations if one.rows.samples > 0)
@@ -453,6 +458,7 @@ def observe(
     full_rate: bool = False,
     jobs: int = 1,
     first: int | None = None,
+    grouping: Grouping = BY_SECONDS,
 ) -> tuple[Observations, ...]:
     """Fold the windowed rows of aligned segments, for each window length.
 
@@ -462,7 +468,8 @@ def observe(
     is the first stamp of the log, ns, by default that of the first segment.
     """
     empty = {
-        window: Observations.empty(layout, window, candidates=candidates) for window in windows
+        window: Observations.empty(layout, window, candidates=candidates, grouping=grouping)
+        for window in windows
     }
     with FoldingPool(empty, jobs) as pool:
         for segment in segments:

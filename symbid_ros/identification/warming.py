@@ -10,6 +10,7 @@ from dataclasses import replace
 from itertools import product
 
 from symbid_ros.choices import Term
+from symbid_ros.estimation.group_moments import Grouping
 from symbid_ros.estimation.term_evidence import changing_friction, predictive_effects
 from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
 from symbid_ros.identification.dataset import Dataset
@@ -71,7 +72,13 @@ def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
     joints = sorted(set(choice.parameters.joints.tolist()) - set(model.followers) - sensors)
     tried = tuple(Warming(joint, term, courses) for joint, term in product(joints, WARMING_TERMS))
     parameters = during(replace(choice.parameters, warming=tried), training)
-    trial = try_columns(solver, training, dataset.source, parameters, slips=choice.slips)
+    # A course in time would predict seconds that are left out from their neighbours, of whatever
+    # slow error: it has to predict parts of the log that are long compared with that.
+    spans = stamp_spans(training)
+    grouping = Grouping.contiguous(spans[0][0], spans[-1][1])
+    trial = try_columns(
+        solver, training, dataset.source, parameters, slips=choice.slips, grouping=grouping
+    )
     if trial is None:
         return ()
     effects, free = changing_friction(parameters), trial.free.copy()

@@ -20,6 +20,7 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -267,8 +268,11 @@ def update(command: Command, printed: list[str]) -> None:
     old = [*(command.output or ())]
     new = [line.rstrip() for line in printed]
     if TRIMMED in old:
-        before, after = old.index(TRIMMED), len(old) - old.index(TRIMMED) - 1
-        new = [*new[:before], TRIMMED, *new[len(new) - after :]]
+        before, after = old.index(TRIMMED), old[::-1].index(TRIMMED)
+        # What stands between two trimmed parts is found by its words.
+        by_words = {NUMBER.sub("#", line): line for line in new}
+        middle = [by_words.get(NUMBER.sub("#", one), one) for one in old[before : len(old) - after]]
+        new = [*new[:before], *middle, *new[len(new) - after :]]
     shown = re.escape(command.words + "\n" + "".join(f"{line}\n" for line in old))
     text = command.page.read_text(encoding="utf-8")
     whole = command.words + "\n" + "".join(f"{line}\n" for line in new)
@@ -285,8 +289,13 @@ def test_python_runs_as_it_is_shown(page, checkout, short, tmp_path, monkeypatch
     for made in checkout.iterdir():
         (tmp_path / made.name).symlink_to(short if made.name == "my_bag" else made)
     monkeypatch.chdir(tmp_path)
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
         exec(compile(PROGRAMMED[page], page, "exec"), {})
+    of_page = [block for block in BLOCKS if block.page == page]
+    for code, shown in pairwise(of_page):
+        if (code.language, shown.language) == ("python", "text"):
+            for line in shown.lines:
+                assert any(are_alike(line, one) for one in printed.getvalue().splitlines()), line
 
 
 def test_data_is_well_formed() -> None:
@@ -382,6 +391,28 @@ def test_options_in_running_text_are_those_of_a_command() -> None:
         if span.startswith("--") and page.name != "CONTRIBUTING.md":
             option = span.split()[0].split("=")[0]
             assert option in known | OTHER_OPTIONS, f"{page.name}: {span}"
+
+
+def test_links_lead_to_sections_that_github_has() -> None:
+    """GitHub makes names of headings in a way of its own; the site accepts these names too."""
+
+    def sections(page: Path) -> set[str]:
+        text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+        titles = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+        return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+    for page in PAGES:
+        for file, section in re.findall(
+            r"\]\(([\w./-]*\.md)?#([^)]+)\)", page.read_text(encoding="utf-8")
+        ):
+            target = (page.parent / file) if file else page
+            assert section in sections(target), f"{page.name}: {file}#{section}"
+
+
+def test_the_readme_lists_every_page() -> None:
+    elsewhere = {"index.md", "changelog.md", "contributing.md"}
+    listed = set(re.findall(r"\]\(docs/([\w-]+\.md)", (ROOT / "README.md").read_text()))
+    assert {page.name for page in (ROOT / "docs").glob("*.md")} - elsewhere == listed
 
 
 def test_files_named_in_running_text_exist() -> None:

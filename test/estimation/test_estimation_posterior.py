@@ -202,6 +202,22 @@ def test_one_direction_does_not_narrow_the_prior_of_all():
     assert PriorEvidence(1000.0 * np.eye(50), np.zeros(50)).common_scale() < 0.1
 
 
+def test_rounding_does_not_change_what_directions_without_rows_get_back():
+    """Where no row shows anything, eigenvectors of the information are arbitrary."""
+    log, *_ = case(5, floating=False, terms=("viscous", "coulomb"))
+    exact = default_prior(log.parameters)
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(4):
+        y = log.y * (1 + 1e-10 * rng.normal(size=log.y.shape))
+        observations = replace(log, y=y).observations()
+        inertial = log.parameters.inertial
+        found.append(posterior(observations, exact, empirical=True, count=inertial))
+    assert found[0].unseen is not None
+    for other in found[1:]:
+        np.testing.assert_allclose(other.std, found[0].std, rtol=1e-4)
+
+
 @pytest.mark.parametrize("name", ["plain", "correlated prior", "weighed", "masked"])
 def test_the_evidence_is_that_of_all_rows_at_once(name, monkeypatch):
     monkeypatch.setattr(production, "WEAK_INFORMATION", 0)
