@@ -89,7 +89,8 @@ def test_the_end_repeats_warnings_and_alarms(capsys, caplog) -> None:
 
 
 @pytest.mark.usefixtures("domain")
-def test_without_a_robot_it_waits_with_its_page_until_ctrl_c() -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_without_a_robot_it_waits_with_its_page_until_a_signal(number: signal.Signals) -> None:
     command = [Path(sys.executable).parent / "symbid", "live", MODEL, "--web", "--port", "0"]
     process = subprocess.Popen(
         command,
@@ -110,7 +111,7 @@ def test_without_a_robot_it_waits_with_its_page_until_ctrl_c() -> None:
         with urllib.request.urlopen(events, timeout=DEADLINE) as stream:
             # The identifier reports what it waits for.
             assert any(b"no sensor topics yet" in line for line in stream)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         _, err = process.communicate(timeout=DEADLINE)
     finally:
         if process.poll() is None:
