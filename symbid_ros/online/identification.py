@@ -227,6 +227,13 @@ class OnlineIdentification:
         worker = self._worker
         self._add_processed(worker.finish() if self._pace.in_step else worker.take_finished())
 
+    def hurry(self, timeout: float) -> bool:
+        """Process queued blocks for at most ``timeout`` s; return whether all are processed.
+
+        Only then an exact estimate need not wait for them.
+        """
+        return self._worker.hurry(timeout)
+
     def solve(self, *, exactly: bool = False) -> OnlineEstimate | None:
         """Return the estimate from the messages so far; None if there are too few.
 
