@@ -204,7 +204,7 @@ class OnlineIdentification:
         if streams.jumps_back(topic, stamp):
             logger.warning(
                 "%s: its clock jumps back from %.3f s; alignment restarts and all processed data "
-                "are kept",
+                "are kept, so that a bag that is played again counts twice",
                 topic.name,
                 (streams.buffers[topic].newest or 0) * 1e-9,
             )
@@ -432,6 +432,7 @@ class OnlineIdentification:
             self._until,
             window,
             solver.alarms(value),
+            any(one.is_gross for one in solver.unexplained[:1]),
             change,
             None if change is not None else self._monitor.followed,
         )

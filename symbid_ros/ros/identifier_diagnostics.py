@@ -199,7 +199,7 @@ class IdentifierDiagnostics:
         newest, self._taken = live.streams.joints.newest, taken
         self._age = 0.0 if newest is None else max((newest - outcome.until) * 1e-9, 0.0)
         # A warning all the same: no controller may use a model that is not yet judged.
-        is_judged = live.can_tell_fit
+        is_judged = live.can_tell_fit or (outcome.is_contradicted and bool(outcome.alarms))
         alarms = outcome.alarms if is_judged or not outcome.alarms else (TOO_EARLY_TO_FIT,)
         status = self._estimate_status(outcome, alarms, known, solve_time)
         if status.level == OK and not is_judged:

@@ -420,7 +420,8 @@ class OnlineIdentifier:
     def _alarms_of(self, estimate: OnlineEstimate) -> tuple[str, ...]:
         """Return the alarms of the verdict or, without one, those that are not too early."""
         is_exact = estimate.found.estimate.verdict is not None
-        return estimate.alarms if is_exact or self._live.can_tell_fit else ()
+        is_judged = is_exact or self._live.can_tell_fit or estimate.is_contradicted
+        return estimate.alarms if is_judged else ()
 
     def _final_estimate(self) -> OnlineEstimate | None:
         """Return the estimate from all data, as exact as `save_time` allows.

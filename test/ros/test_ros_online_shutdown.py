@@ -169,6 +169,11 @@ def test_alarms_wait_until_joint_terms_can_be_chosen(
     early = status()
     assert early.message.startswith("too early to tell whether the model")
     assert early.level == WARN  # no controller may use it
+    assert fed._alarms_of(alarming) == ()
+    alarming = replace(alarming, is_contradicted=True)
+    assert status().message == "the data widened the prior"
+    assert fed._alarms_of(alarming) == alarming.alarms
+    alarming = replace(alarming, is_contradicted=False)
     monkeypatch.setattr(OnlineIdentification, "can_tell_change", True)
     assert status().message == "the data widened the prior"
 
