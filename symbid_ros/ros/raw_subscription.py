@@ -170,12 +170,6 @@ class MessageReceiver:
             self._waiting.clear()
             self._size = 0
 
-    @property
-    def waiting_since(self) -> float | None:
-        """When the oldest message that waits was taken, s of the monotonic clock, or None."""
-        with self._lock:
-            return self._waiting[0].taken if self._waiting else None
-
     def take(self) -> MessageBatch:
         """Return the oldest messages that wait; without any, a batch from each queue."""
         with self._lock:
@@ -196,7 +190,7 @@ class MessageReceiver:
             self._failure = failure
 
     def _keep_batch(self) -> bool:
-        """Keep a batch from each queue; return whether there was any message."""
+        """Keep a batch from each queue; return whether the queues may hold more."""
         with self._lock:
             if self._size >= MOST_WAITING:
                 return False
@@ -204,7 +198,7 @@ class MessageReceiver:
             if batch.messages:
                 self._waiting.append(batch)
                 self._size += _size_of(batch)
-            return bool(batch.messages)
+            return len(batch.messages) >= BATCH
 
     def _take_batch(self) -> MessageBatch:
         messages = [(topic, one) for topic, queue in self.subscriptions for one in queue.take()]

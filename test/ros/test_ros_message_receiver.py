@@ -1,7 +1,5 @@
 """Messages that arrive while an estimate is computed are kept."""
 
-import time
-
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import String
 
@@ -30,12 +28,8 @@ def test_more_messages_than_the_queue_holds_wait_for_a_slow_reader(graph) -> Non
             publisher.publish(String(data=f"{number:04}"))
             if number % DEPTH == DEPTH - 1:  # nobody reads, yet the queue is emptied
                 graph.wait_until(lambda expected=number + 1: waiting() == expected)
-    since = receiver.waiting_since
-    assert since is not None
-    assert since <= time.monotonic()
     words, batch = [], receiver.take()
     while batch.messages:
         words += [bytes(message.payload)[8:12].decode() for _, message in batch.messages]
         batch = receiver.take()
     assert words == [f"{number:04}" for number in range(sent)]
-    assert receiver.waiting_since is None
