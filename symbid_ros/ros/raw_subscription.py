@@ -1,4 +1,4 @@
-"""Raw subscriptions that a thread empties by polling: the fastest way from a topic to its bytes.
+"""Raw subscriptions that threads empty by polling: the fastest way from a topic to its bytes.
 
 An executor rebuilds its wait set for every message and converts each into Python objects. That
 costs a control loop of 1 kHz half of its period, and the executor loses messages where a plain
