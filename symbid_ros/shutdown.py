@@ -90,6 +90,12 @@ def exit_on_signals() -> None:
             signal.signal(number, unwind)
 
 
+def interrupt_on_sigterm() -> None:
+    """Make SIGTERM raise KeyboardInterrupt, as Ctrl-C does; an ignored signal stays ignored."""
+    if signal.getsignal(signal.SIGTERM) != signal.SIG_IGN:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
 def unwind(number: int, _: object) -> NoReturn:
     """Handle a signal: end the process with the status that shells give it."""
     signal.signal(number, signal.SIG_IGN)  # a second signal would interrupt the cleanup

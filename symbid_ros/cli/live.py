@@ -24,8 +24,8 @@ from symbid_ros.report.formatting import counted
 logger = logging.getLogger(__name__)
 
 POLL = 0.2  # s
-SAVING_TIME = 120.0  # s; a slow machine may lag behind
-SAVE_TIME = SAVING_TIME / 2  # s for the last estimate
+SAVING_TIME = 300.0  # s; a solve may be under way, and a slow machine may lag behind
+SAVE_TIME = 120.0  # s for the last estimate
 # Of a relative or absolute ROS namespace.
 NAMESPACE = re.compile(r"/?|/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*/?", re.ASCII)
 AS_IT_IS: dict[str, Any] = {"soft_wrap": True, "markup": False, "highlight": False}
@@ -80,7 +80,7 @@ def live(
     options: IdentifyOptions,
     log: LogOptions,
 ) -> None:
-    """Identify a running robot from its ROS 2 topics, until Ctrl-C.
+    """Identify a running robot from its ROS 2 topics, until Ctrl-C or SIGTERM.
 
     It starts the nodes identifier and monitor, and with --web also web_monitor, in the ROS domain
     of this terminal. If an identifier runs there already, this one gets another name, which is
@@ -92,7 +92,7 @@ def live(
     from symbid_ros.identification.result_files import CALIBRATED, RESULT_FILES
     from symbid_ros.model.load import load_model
     from symbid_ros.online.initial_state import refuse_unused_live
-    from symbid_ros.shutdown import exit_on_signals
+    from symbid_ros.shutdown import exit_on_signals, interrupt_on_sigterm
 
     _require_namespace(namespace)
     path = require_model(model, "MODEL")
@@ -101,6 +101,7 @@ def live(
     if out is not None:
         require_no_files(out, (*RESULT_FILES, *CALIBRATED), overwrite=overwrite)
     exit_on_signals()
+    interrupt_on_sigterm()
     console = Console()
     logs = Path(tempfile.mkdtemp(prefix="symbid_live_"))
     common: dict[str, object] = {"model": str(path.resolve()), "base": base}
@@ -152,12 +153,10 @@ def live(
                     node.require_running()
                 time.sleep(POLL)
         except KeyboardInterrupt:
-            try:
-                summary = identifier.finish(stop=True, patience=SAVING_TIME)
-            except SymbidError:
-                if identifier.was_interrupted:  # there was nothing to save yet
-                    raise KeyboardInterrupt from None
-                raise
+            others.close()
+            if out is not None:
+                console.print("saving: the estimate from all data is computed", **AS_IT_IS)
+            summary = _finish(identifier)
     report_end(summary, console)
 
 
@@ -168,6 +167,16 @@ def _require_namespace(name: str) -> None:
             "that begin with a letter, such as robot1/left_arm",
             "E501",
         )
+
+
+def _finish(identifier: NodeProcess) -> dict[str, Any]:
+    """Stop an identifier and return its summary."""
+    try:
+        return identifier.finish(stop=True, patience=SAVING_TIME)
+    except SymbidError:
+        if identifier.was_interrupted:  # there was nothing to save yet
+            raise KeyboardInterrupt from None
+        raise
 
 
 def report_end(summary: Mapping[str, Any], console: Console) -> None:

@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import re
 import signal
 import socket
 import subprocess
@@ -16,6 +17,8 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.package_paths import config_file
 from symbid_ros.shutdown import deferred, exit_on_signals
 
+# A node's own error, without which it ends only if it crashes.
+FAILURE = re.compile(r"(?P<name>\w+): (?P<text>.*) \(SYMBID-(?P<code>E\d+)\)")
 STOPPING_TIME = 120.0  # s; a recorder has to finish its bag, possibly on a busy machine
 
 
@@ -189,6 +192,9 @@ class NodeProcess:
 
     def _failure(self) -> SymbidError:
         lines = self.log.read_text(errors="replace").strip().splitlines()
+        error = FAILURE.fullmatch(lines[-1]) if lines else None
+        if error is not None and error["name"] == self.name:
+            return SymbidError(f"{error['text']} (see {self.log})", error["code"])
         status = self._process.returncode
         reason = f"exit status {status}" if status >= 0 else f"killed by signal {-status}"
         reason = lines[-1] if lines else reason

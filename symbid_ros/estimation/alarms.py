@@ -150,8 +150,11 @@ def coloured_alarm(
         What explains it, and what to do, if causes were tried.
     """
     size = f"{unexplained[0]}{when and f', mostly {when}'}: " if unexplained else ""
+    is_gross = any(one.is_gross for one in unexplained[:1])
     cause = cause or (
-        "the model lacks an effect or a sensor's calibration is wrong; identify a bag to have "
+        "the sign, unit or zero of a sensor is wrong; check a bag with `symbid bag doctor`"
+        if is_gross
+        else "the model lacks an effect or a sensor's calibration is wrong; identify a bag to have "
         "likely causes tried"
     )
     return f"{size}{Alarm.COLOURED} (whiteness {whiteness:.1f}); {cause}"

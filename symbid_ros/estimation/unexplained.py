@@ -16,6 +16,9 @@ from symbid_ros.estimation.observations import Observations
 
 # Share of the measured force below which an unexplained part raises no alarm.
 SMALL = 0.01
+# Share above which no effect that the model lacks, such as friction, is the cause: a fit explains
+# at least nothing.
+GROSS = 1.2
 # Standard deviations of a residual's variance that chance explains.
 CHANCE = 2.0
 # A force counts as at least this share of the largest of its unit: a joint that carries almost
@@ -46,6 +49,11 @@ class UnexplainedForce:
     size: float
     measured: float
     share: float
+
+    @property
+    def is_gross(self) -> bool:
+        """Whether more is unexplained than measured, as with an effort of the wrong sign."""
+        return self.share >= GROSS
 
     def __str__(self) -> str:
         """Return the sizes, such as ``3 Nm of 80 Nm unexplained on knee``."""

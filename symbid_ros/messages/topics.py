@@ -16,6 +16,7 @@ from symbid_ros.options import robot_file_line
 from symbid_ros.signals.wrapped_angles import AngleUnwrapper
 
 TRUTH = "ground_truth"
+RESIDUALS = "effort_residual", "wrench_residual"  # last parts of an identifier's own topics
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 POSES = ODOMETRY, POSE
 DRIVES = ODOMETRY, IMU
@@ -285,7 +286,7 @@ class TopicSelector:
         if names is not None:
             return topic.msgtype == msgtype and _bare(topic.name) in map(_bare, names)
         is_named = ending is None or topic.name.rsplit("/", 1)[-1] == ending
-        return topic.msgtype == msgtype and is_named and not is_truth(topic.name)
+        return topic.msgtype == msgtype and is_named and is_measured(topic.name)
 
     def _find(
         self, msgtype: str, names: tuple[str, ...] | None, ending: str | None
@@ -323,7 +324,7 @@ class TopicSelector:
         usable = sorted(
             topic.name
             for topic in self.counts
-            if topic.msgtype in msgtypes and not is_truth(topic.name)
+            if topic.msgtype in msgtypes and is_measured(topic.name)
         )
         if not usable:
             return f"record one of type {' or '.join(msgtypes)}, or leave `{option}` out"
@@ -336,7 +337,7 @@ class TopicSelector:
         names = sorted(
             topic.name
             for topic in self.counts
-            if topic.msgtype == JOINT_STATE and not is_truth(topic.name)
+            if topic.msgtype == JOINT_STATE and is_measured(topic.name)
         )
         if names:
             return (
@@ -361,3 +362,8 @@ def _bare(name: str) -> str:
 def is_truth(name: str) -> bool:
     """Return whether a topic holds the ground truth of a simulation."""
     return TRUTH in name.split("/")
+
+
+def is_measured(name: str) -> bool:
+    """Return whether a topic may be a sensor's: neither ground truth nor an estimate's residual."""
+    return not is_truth(name) and name.rsplit("/", 1)[-1] not in RESIDUALS

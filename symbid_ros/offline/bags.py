@@ -21,7 +21,7 @@ from symbid_ros.identification.result import Result
 from symbid_ros.identification.rigid_sensors import RigidSensors
 from symbid_ros.identification.solver import Identification
 from symbid_ros.messages.log_options import LogOptions
-from symbid_ros.messages.topics import Topic, TopicSelection, is_truth
+from symbid_ros.messages.topics import Topic, TopicSelection, is_measured
 from symbid_ros.messages.types import IMU, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.load import as_model, is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
@@ -87,7 +87,7 @@ def with_wrench_topics(
     topics = sorted(
         topic.name
         for topic, count in counts.items()
-        if count and topic.msgtype == WRENCH and not is_truth(topic.name)
+        if count and topic.msgtype == WRENCH and is_measured(topic.name)
     )
     if not topics or any(name.rsplit("/", 1)[-1] == "wrench" for name in topics):
         return options
@@ -115,7 +115,7 @@ def load_robot(model: Path, base: Base, bags: Sequence[Path]) -> RobotModel:
 
 def measured_types(topics: Iterable[Topic]) -> set[str]:
     """Return the types of topics that a robot would have, without a simulation's ground truth."""
-    return {topic.msgtype for topic in topics if not is_truth(topic.name)}
+    return {topic.msgtype for topic in topics if is_measured(topic.name)}
 
 
 def with_likely_base(

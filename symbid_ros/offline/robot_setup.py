@@ -15,7 +15,7 @@ from symbid_ros.bags import bag_log, count_messages, join_names
 from symbid_ros.choices import Base
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
 from symbid_ros.identification.assumed_contacts import assumed_contacts, leg_ends
-from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
+from symbid_ros.messages.topics import Topic, TopicSelection, describe_topics, is_measured
 from symbid_ros.messages.types import IMU, JOINT_STATE, POSE, WRENCH
 from symbid_ros.model.load import is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
@@ -51,7 +51,7 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     topics = {
         topic: count
         for topic, count in count_messages(bags).items()
-        if count and TRUTH not in topic.name.split("/")
+        if count and is_measured(topic.name)
     }
     robot = load_model(model, base)
     has_motion = any(topic.msgtype in (IMU, POSE) for topic in topics)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from threading import Event
 
@@ -112,6 +112,13 @@ class BlockWorker:
         if self._pending is not None and not self._queue:
             self._queue.append(self._pool.submit(self._relinearize_next, self._pending))
         return self._accumulated if is_finished else None
+
+    def hurry(self, timeout: float) -> bool:
+        """Process queued blocks without pauses for ``timeout`` s; return whether none is left."""
+        self._skip_pauses.set()
+        left = wait(self._queue, max(timeout, 0.0)).not_done
+        self._skip_pauses.clear()
+        return not left
 
     def finish(self, longest: float = np.inf) -> BlockAccumulator | None:
         """Process everything that is queued without pauses and return the accumulator.

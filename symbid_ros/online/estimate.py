@@ -23,6 +23,8 @@ class OnlineEstimate:
         Length of the rows' windows, s.
     alarms : tuple of str
         Problems of the estimate, one line each.
+    is_contradicted : bool
+        Whether more of a force is unexplained than measured, which no joint term would change.
     change : Change or None
         Detected change of the robot, which contradicts the estimate.
     followed : Change or None
@@ -34,5 +36,6 @@ class OnlineEstimate:
     until: int
     window: float
     alarms: tuple[str, ...]
+    is_contradicted: bool
     change: Change | None
     followed: Change | None

@@ -204,7 +204,7 @@ class OnlineIdentification:
         if streams.jumps_back(topic, stamp):
             logger.warning(
                 "%s: its clock jumps back from %.3f s; alignment restarts and all processed data "
-                "are kept",
+                "are kept, so that a bag that is played again counts twice",
                 topic.name,
                 (streams.buffers[topic].newest or 0) * 1e-9,
             )
@@ -226,6 +226,13 @@ class OnlineIdentification:
             self._submit(span)
         worker = self._worker
         self._add_processed(worker.finish() if self._pace.in_step else worker.take_finished())
+
+    def hurry(self, timeout: float) -> bool:
+        """Process queued blocks for at most ``timeout`` s; return whether all are processed.
+
+        Only then an exact estimate need not wait for them.
+        """
+        return self._worker.hurry(timeout)
 
     def solve(self, *, exactly: bool = False) -> OnlineEstimate | None:
         """Return the estimate from the messages so far; None if there are too few.
@@ -425,6 +432,7 @@ class OnlineIdentification:
             self._until,
             window,
             solver.alarms(value),
+            any(one.is_gross for one in solver.unexplained[:1]),
             change,
             None if change is not None else self._monitor.followed,
         )

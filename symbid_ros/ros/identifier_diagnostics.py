@@ -132,16 +132,16 @@ class IdentifierDiagnostics:
         self._counts: dict[str, int] = {}
         self._dropped: dict[str, int] = {}
         self._monitor = StreamMonitor()
-        self._updated = self._solved = time.monotonic()
-        self._age = float("nan")  # of the newest estimate when it was made, s
+        self._updated = self._solved = self._taken = time.monotonic()
+        self._age = float("nan")  # of the newest estimate when its messages were taken, s
 
     def statuses(self) -> Sequence[NodeStatus]:
         """Return the current statuses."""
         estimate, streams = self._estimate, self._streams
-        since = time.monotonic() - self._solved
-        values = {**estimate.values, "since_solved": f"{since:.2f}"}
-        if "age" in values:  # it grows while no data arrive
-            values["age"] = f"{self._age + since:.3f}"
+        now = time.monotonic()
+        values = {**estimate.values, "since_solved": f"{now - self._solved:.2f}"}
+        if "age" in values:  # it grows during a solve and while no data arrive
+            values["age"] = f"{self._age + now - self._taken:.3f}"
         estimate = replace(estimate, values=values)
         if not self._is_enabled:
             estimate = replace(estimate, level=OK, message=DISABLED)
@@ -184,20 +184,22 @@ class IdentifierDiagnostics:
         outcome: OnlineEstimate | None,
         known: RobotUncertainty | None,
         solve_time: float,
+        taken: float,
     ) -> None:
         """Set the newest estimate, or None for too few data, and its computing time, s.
 
-        ``known`` is what the estimate knows of the whole robot.
+        ``known`` is what the estimate knows of the whole robot. ``taken`` is when the newest
+        message was taken from its topic, s of the monotonic clock.
         """
         self._solved = time.monotonic()
         self._has_tried = True
         if outcome is None:
             self._estimate = NodeStatus("estimate", WARN, TOO_FEW)
             return
-        newest = live.streams.joints.newest
+        newest, self._taken = live.streams.joints.newest, taken
         self._age = 0.0 if newest is None else max((newest - outcome.until) * 1e-9, 0.0)
         # A warning all the same: no controller may use a model that is not yet judged.
-        is_judged = live.can_tell_fit
+        is_judged = live.can_tell_fit or (outcome.is_contradicted and bool(outcome.alarms))
         alarms = outcome.alarms if is_judged or not outcome.alarms else (TOO_EARLY_TO_FIT,)
         status = self._estimate_status(outcome, alarms, known, solve_time)
         if status.level == OK and not is_judged:

@@ -78,8 +78,8 @@ PARAMETERS = (
     Parameter(
         "save_time",
         1.5,
-        "Online: seconds that the last estimate may take at shutdown; if it needs more, the newest "
-        "one is saved, because `ros2 launch` kills nodes that take a few seconds.",
+        "Online: seconds that the last estimate may take at shutdown, because `ros2 launch` kills "
+        "nodes that take a few seconds. If an exact one needs more, a faster one is saved.",
         minimum=0.0,
         maximum=600.0,
     ),

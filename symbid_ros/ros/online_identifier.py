@@ -4,6 +4,7 @@ import json
 import logging
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +26,7 @@ from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.learning.candidate import RobotUncertainty, candidate_model, robot_uncertainty
 from symbid_ros.learning.model_file import read_model, write_model
 from symbid_ros.messages.name_check import ModelNames, check_model_names
-from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
+from symbid_ros.messages.topics import SelectedTopics, TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.estimate import OnlineEstimate
@@ -44,7 +45,7 @@ from symbid_ros.ros.identifier_parameters import (
 from symbid_ros.ros.inertia_markers import InertiaMarkers
 from symbid_ros.ros.monitor_messages import TOO_EARLY_TO_FIT
 from symbid_ros.ros.parameters import ParameterError, watch
-from symbid_ros.ros.raw_subscription import RawSubscription
+from symbid_ros.ros.raw_subscription import MessageReceiver
 from symbid_ros.ros.reporting import FaultReporter, StatusPublisher, collected_warnings
 from symbid_ros.ros.sensor_topics import SensorTopics, resolve_topics
 
@@ -52,9 +53,10 @@ logger = logging.getLogger(__name__)
 
 POLL = 0.01  # s; queues take far longer to fill
 FOREVER = 2**63 - 1  # ns
-LONGEST_DRAIN = 1.0  # s; on a machine that is too slow, queues never run empty
+LONGEST_DRAIN = 1.0  # s of reading at the end, or `save_time` if that is longer
 # Cost of an exact estimate, relative to the estimates in between.
 EXACT_COST = 4.0
+RECENT_SOLVES = 5  # of which the shortest counts: choosing windows and joint terms takes longer
 ANSWER_POLL = 0.1  # s
 CHANGE = "change of the robot"  # what is reported as resolved
 CONTACTS = "contact forces"
@@ -129,14 +131,15 @@ class OnlineIdentifier:
         self._identification: OnlineIdentification | None = None
         self._selected: SelectedTopics | None = None
         self._unused: set[str] = set()
-        self._subscriptions: tuple[tuple[Topic, RawSubscription], ...] = ()
+        self._receiver = MessageReceiver()
+        self._taken = time.monotonic()  # when the newest message used was taken
         self._topics = EstimateTopics(node, self._parameters)
         self._markers = InertiaMarkers(node, self._parameters, log.frame_prefix)
         self._described = float("-inf")
         self._solves = 0
         self._newest: OnlineEstimate | None = None
         self._has_saved = False  # because a service asked for it
-        self._solve_time = 0.0  # s
+        self._solve_times: deque[float] = deque(maxlen=RECENT_SOLVES)  # s
         self._diagnostics = IdentifierDiagnostics()
         self._fault_reporter, self._change_reporter = FaultReporter(node), FaultReporter(node)
         for service, work in (
@@ -156,9 +159,10 @@ class OnlineIdentifier:
         Without an estimate at the end, this raises an EstimateError that states the reason.
         """
         try:
-            self._await_topics(stop)
-            if self._identification is not None:
-                self._identify(stop)
+            with self._receiver:
+                self._await_topics(stop)
+                if self._identification is not None:
+                    self._identify(stop)
         except BaseException:
             self._save_after_error()
             raise
@@ -199,7 +203,8 @@ class OnlineIdentifier:
             self._node.get_logger().warning(f"new topics appeared; restarting with {names}")
             self._identification.close()
         self._identification = OnlineIdentification(self._initial_state, selected, self._pace)
-        self._subscriptions = self._sensors.subscriptions(selected)
+        self._receiver.subscribe(())  # some of them may be closed
+        self._receiver.subscribe(self._sensors.subscriptions(selected))
         self._selected = selected
         self._node.get_logger().info(f"identifying {self._parameters.model.name} from {names}")
 
@@ -225,7 +230,7 @@ class OnlineIdentifier:
             now = time.monotonic()
             if now - discovered >= LATER_DISCOVERY_PERIOD:
                 self._update_topics()
-                for _, subscription in self._subscriptions:
+                for _, subscription in self._receiver.subscriptions:
                     subscription.match_publishers()
                 discovered = now
             if now >= due:
@@ -239,7 +244,6 @@ class OnlineIdentifier:
                 due = max(due + self._period, now + 1.5 * spent)
             elif not count:
                 time.sleep(POLL)
-        self._receive_until(time.time_ns(), LONGEST_DRAIN)
         self._finish()
 
     def _setup_faults(self) -> dict[str, str]:
@@ -253,24 +257,28 @@ class OnlineIdentifier:
     def _live(self) -> OnlineIdentification:
         """The identification, once topics have been found."""
         if self._identification is None:
-            raise EstimateError("no sensor topics yet; start the robot's drivers first", "E812")
+            missing = "; ".join(self._sensors.missing().values())
+            raise EstimateError(f"no sensor topics yet; {missing or 'try again soon'}", "E812")
         return self._identification
 
     def _receive(self, until: int = FOREVER) -> int:
         """Take a batch of messages per topic; return how many arrived up to a time, ns."""
-        count = 0
-        for topic, subscription in self._subscriptions:
-            for message in subscription.take():
-                if self._is_enabled:
-                    self._live.feed(topic, message.payload)
-                count += message.received <= until
-        return count
+        taken, messages = self._receiver.take()
+        if messages:
+            self._taken = taken
+        for topic, message in messages:
+            if self._is_enabled:
+                self._live.feed(topic, message.payload)
+        return sum(message.received <= until for _, message in messages)
 
-    def _receive_until(self, until: int, timeout: float = float("inf")) -> None:
-        """Take all messages that had arrived at a time, ns, for at most ``timeout`` seconds."""
+    def _receive_until(self, until: int, timeout: float = float("inf")) -> bool:
+        """Take all messages that had arrived at a time, ns; return False after ``timeout`` s."""
         deadline = time.monotonic() + timeout
-        while self._receive(until) and time.monotonic() < deadline:
-            pass
+        while self._receive(until):
+            self._live.advance()  # the buffers hold the messages of some seconds
+            if time.monotonic() >= deadline:
+                return False
+        return True
 
     def _solve(self, *, exactly: bool = False) -> OnlineEstimate | None:
         began = time.monotonic()
@@ -283,14 +291,14 @@ class OnlineIdentifier:
             return None
         spent = time.monotonic() - began
         known = None if estimate is None else robot_uncertainty(estimate, self._live.posture())
-        self._diagnostics.set_estimate(self._live, estimate, known, spent)
+        self._diagnostics.set_estimate(self._live, estimate, known, spent, self._taken)
         if estimate is not None:
             change = estimate.change
             self._change_reporter.update({} if change is None else {CHANGE: str(change)})
             self._solves += 1
             self._newest = estimate
             if not exactly:
-                self._solve_time = spent
+                self._solve_times.append(spent)
             self._publish(estimate, describe=exactly)
             if self._live_model is not None and known is not None:
                 self._write_live_model(estimate, known, self._live_model)
@@ -362,12 +370,10 @@ class OnlineIdentifier:
         self._receive_until(time.time_ns())
         recording, deadline = TareRecording(selected, live.checks), time.monotonic() + TARE_TIME
         while time.monotonic() < deadline and not self._ended.is_set():
-            count = 0
-            for topic, subscription in self._subscriptions:
-                for message in subscription.take():
-                    recording.add(topic, message.payload)
-                    count += 1
-            if not count:
+            _, messages = self._receiver.take()
+            for topic, message in messages:
+                recording.add(topic, message.payload)
+            if not messages:
                 time.sleep(POLL)
         tares = recording.tares()
         known = self._initial_state.tares
@@ -387,12 +393,19 @@ class OnlineIdentifier:
         return text
 
     def _finish(self) -> None:
-        buffers = self._live.streams.buffers
-        summary: dict[str, object] = {
-            "received": {topic.name: buffer.received for topic, buffer in buffers.items()},
-            "missing": {topic.name: buffer.missing for topic, buffer in buffers.items()},
-        }
+        """Read what has arrived, save the final estimate and print counts as JSON."""
         with collected_warnings() as warnings:
+            if not self._receive_until(time.time_ns(), max(LONGEST_DRAIN, self._save_time)):
+                logger.warning(
+                    "reading takes longer than `save_time`: the messages of the last %.1f s are "
+                    "not used",
+                    time.monotonic() - self._taken,
+                )
+            buffers = self._live.streams.buffers
+            summary: dict[str, object] = {
+                "received": {topic.name: buffer.received for topic, buffer in buffers.items()},
+                "missing": {topic.name: buffer.missing for topic, buffer in buffers.items()},
+            }
             final = self._newest if self._out is None else self._final_estimate()
             if final is not None and self._out is not None:
                 summary["saved"] = self._write(final, self._out)
@@ -407,25 +420,40 @@ class OnlineIdentifier:
     def _alarms_of(self, estimate: OnlineEstimate) -> tuple[str, ...]:
         """Return the alarms of the verdict or, without one, those that are not too early."""
         is_exact = estimate.found.estimate.verdict is not None
-        return estimate.alarms if is_exact or self._live.can_tell_fit else ()
+        is_judged = is_exact or self._live.can_tell_fit or estimate.is_contradicted
+        return estimate.alarms if is_judged else ()
 
     def _final_estimate(self) -> OnlineEstimate | None:
-        """Return the estimate from all data, or the newest one if there is too little time.
+        """Return the estimate from all data, as exact as `save_time` allows.
 
-        None if there are too few data or they do not suit the robot; the diagnostics state why.
+        Without time for any, it is the newest one. None if there are too few data or they do not
+        suit the robot; the diagnostics state why.
         """
-        if self._newest is not None and EXACT_COST * self._solve_time > self._save_time:
+        newest, needed = self._newest, min(self._solve_times, default=0.0)
+        if newest is not None and needed > self._save_time:
+            read = self._live.streams.joints.newest or newest.until
             logger.warning(
-                "solving is too slow for shutdown: saving the newest estimate, which lacks the "
-                "latest data"
+                "an estimate takes longer than `save_time`: saving the newest one, which lacks "
+                "the last %.1f s of the data",
+                max(read - newest.until, 0) * 1e-9,
             )
-            return self._newest
+            return newest
+        left = self._save_time - EXACT_COST * needed
+        exactly = newest is None or (left >= 0.0 and self._live.hurry(left))
         try:
-            return self._solve(exactly=True)
-        except SymbidError as error:
-            if self._newest is not None:
-                logger.warning("%s; saving the previous estimate", error)
-            return self._newest
+            final = self._solve(exactly=exactly)
+        except SymbidError:
+            final = None
+        if final is None:
+            if newest is not None:
+                logger.warning("%s; saving the previous estimate", self._diagnostics.reason)
+            return newest
+        if not exactly:
+            logger.warning(
+                "an exact estimate takes longer than `save_time`: the saved one is of all data, "
+                "with the window length and joint terms of an earlier choice"
+            )
+        return final
 
     def _save_after_error(self) -> None:
         """Save the newest estimate while an exception is ending the node."""

@@ -1,12 +1,15 @@
-"""Raw subscriptions that a thread empties by polling: the fastest way from a topic to its bytes.
+"""Raw subscriptions that threads empty by polling: the fastest way from a topic to its bytes.
 
 An executor rebuilds its wait set for every message and converts each into Python objects. That
 costs a control loop of 1 kHz half of its period, and the executor loses messages where a plain
 poll of every queue does not.
 """
 
+import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from threading import Event, Lock, Thread
 from typing import Any, NamedTuple
 
 from rclpy.callback_groups import CallbackGroup
@@ -31,6 +34,8 @@ from symbid_ros.ros.endpoints import (
 # Limits of what is taken from one queue before the next queue has its turn.
 BATCH = 256  # messages
 BATCH_SIZE = 1 << 20  # bytes
+BACKGROUND_PERIOD = 0.1  # s between two looks at the queues, which hold seconds of messages
+MOST_WAITING = 1 << 28  # bytes of messages that wait for `MessageReceiver.take`
 
 
 class PolledGroup(CallbackGroup):  # type: ignore[misc]
@@ -125,6 +130,83 @@ class RawSubscription:
         if len(self._recent) > self.depth:
             del self._recent[next(iter(self._recent))]
         return True
+
+
+class MessageBatch(NamedTuple):
+    """Messages taken from all subscriptions at one time, s of the monotonic clock."""
+
+    taken: float
+    messages: tuple[tuple[Topic, ReceivedMessage], ...]
+
+
+class MessageReceiver:
+    """Takes the messages of subscriptions while a block computes for longer than queues last.
+
+    A thread of the ``with`` block takes them out of the middleware's queues, which lose their
+    oldest messages when they are full.
+    """
+
+    def __init__(self) -> None:
+        self.subscriptions: tuple[tuple[Topic, RawSubscription], ...] = ()
+        self._waiting: deque[MessageBatch] = deque()
+        self._size = 0  # of the messages that wait, bytes
+        self._lock = Lock()
+        self._ended = Event()
+        self._failure: Exception | None = None
+        self._thread = Thread(target=self._take_waiting, name="receiver", daemon=True)
+
+    def __enter__(self) -> "MessageReceiver":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def subscribe(self, subscriptions: Sequence[tuple[Topic, RawSubscription]]) -> None:
+        """Take the messages of these subscriptions from now on, and no longer those of others."""
+        with self._lock:
+            self.subscriptions = tuple(subscriptions)
+            self._waiting.clear()
+            self._size = 0
+
+    def take(self) -> MessageBatch:
+        """Return the oldest messages that wait; without any, a batch from each queue."""
+        with self._lock:
+            if self._failure is not None:
+                raise self._failure
+            if not self._waiting:
+                return self._take_batch()
+            batch = self._waiting.popleft()
+            self._size -= _size_of(batch)
+            return batch
+
+    def _take_waiting(self) -> None:
+        try:
+            while not self._ended.wait(BACKGROUND_PERIOD):
+                while self._keep_batch():
+                    pass
+        except Exception as failure:  # raised where the messages are needed
+            self._failure = failure
+
+    def _keep_batch(self) -> bool:
+        """Keep a batch from each queue; return whether the queues may hold more."""
+        with self._lock:
+            if self._size >= MOST_WAITING:
+                return False
+            batch = self._take_batch()
+            if batch.messages:
+                self._waiting.append(batch)
+                self._size += _size_of(batch)
+            return len(batch.messages) >= BATCH
+
+    def _take_batch(self) -> MessageBatch:
+        messages = [(topic, one) for topic, queue in self.subscriptions for one in queue.take()]
+        return MessageBatch(time.monotonic(), tuple(messages))
+
+
+def _size_of(batch: MessageBatch) -> int:
+    return sum(len(message.payload) for _, message in batch.messages)
 
 
 class DecodedSubscription:

@@ -31,6 +31,7 @@ REFRESH = 0.5  # s
 LATE_SYNC = 5.0  # s; a healthy disk syncs within milliseconds
 POLL = 0.002  # s; queues take far longer to fill
 DISCOVERY_PERIOD = 0.05  # s
+MATCHING_PERIOD = 1.0  # s; a driver may restart with another quality of service
 MEGABYTE = 10**6
 STAMPED = ENCAPSULATION + 8  # smallest size of a message with a stamp, bytes
 SLOW = "the disk or the processor was too slow"
@@ -253,9 +254,15 @@ class Recorder:
             raise self._discovery_error
 
     def _discover(self, ended: Event) -> None:
+        matched = time.monotonic()
         try:
-            while not self._discovery.is_complete and not ended.wait(DISCOVERY_PERIOD):
-                self._discovery.update(self._add_topic, self._skip_topic)
+            while not ended.wait(DISCOVERY_PERIOD):
+                if not self._discovery.is_complete:
+                    self._discovery.update(self._add_topic, self._skip_topic)
+                if time.monotonic() - matched >= MATCHING_PERIOD:
+                    for topic in self._topics:
+                        topic.subscription.match_publishers()
+                    matched = time.monotonic()
         except Exception as error:
             self._discovery_error = error
 

@@ -363,14 +363,13 @@ def missing_topics(
     if selection.joints is None and JOINT_STATE not in kinds:
         missing["joint states"] = (
             f"waiting for a topic joint_states of type {JOINT_STATE} in this node's namespace; "
-            f"{_others(JOINT_STATE, graph)}; start the robot's driver, or set the parameter "
-            "joint_topic"
+            f"{_others(JOINT_STATE, graph)}; start the robot's driver, or give `joint_topic`"
         )
     if floating and selection.imus is None and kinds.isdisjoint((IMU, *POSES)):
         missing["IMU"] = (
             f"waiting for a topic of type {IMU} in this node's namespace, which a floating base "
-            f"needs; {_others(IMU, graph)}; start the IMU's driver, set the parameter imu_topic, "
-            "or give base:=fixed"
+            f"needs; {_others(IMU, graph)}; start the IMU's driver, or give `imu_topic`, or "
+            "`base` fixed"
         )
     return missing
 
@@ -379,17 +378,14 @@ def _describe_missing(name: str, msgtype: str, parameter: str, graph: Graph) -> 
     types = graph.get(name, ())
     if types and msgtype not in types:
         return (
-            f"parameter {parameter}: topic {name} is of type {', '.join(types)}, not {msgtype}; "
+            f"`{parameter}`: topic {name} is of type {', '.join(types)}, not {msgtype}; "
             "name another topic"
         )
     if types:
-        return (
-            f"waiting for the first message on topic {name} (parameter {parameter}); check its "
-            "driver"
-        )
+        return f"waiting for the first message on topic {name} (`{parameter}`); check its driver"
     return (
-        f"waiting for topic {name} (parameter {parameter}), which has no publisher; "
-        f"{_others(msgtype, graph)}; start its driver or correct the parameter"
+        f"waiting for topic {name} (`{parameter}`), which has no publisher; "
+        f"{_others(msgtype, graph)}; start its driver or correct `{parameter}`"
     )
 
 

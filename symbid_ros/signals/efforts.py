@@ -85,7 +85,7 @@ def measured_efforts(
             unmeasured = ~_within_gaps(stamp, finite, longest_gap)
             _fill(stamp, column, finite)
             lost[:, index] = np.logical_or.reduceat(unmeasured, starts)
-            _warn(topic, joint.name, "is not finite", lost[:, index])
+            _warn(topic, joint.name, "is missing or not finite", lost[:, index])
         # Measurements are noisy; exact zeros come from a driver without a sensor.
         is_zero = ~np.logical_or.reduceat(column != 0.0, starts) & ~lost[:, index]
         if is_zero.any():

@@ -11,9 +11,11 @@ from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.types import JOINT_STATE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import BagRequest, load_bag, with_wrench_topics
+from symbid_ros.offline.robot_setup import inspect_robot
 
 MODEL = CONFIG / "symbitron.urdf"
 FT = ("/ft/left", "/ft/right")
+RESIDUAL = "/identifier/wrench_residual"  # published by an identifier beside the recorder
 
 
 @pytest.fixture
@@ -38,12 +40,16 @@ def bag_of(tmp_path):
 
 
 def test_all_wrenches_count_if_none_is_named_wrench(bag_of, caplog):
-    bag = bag_of(*FT, empty=("/ft/unused",))
+    bag = bag_of(*FT, RESIDUAL, empty=("/ft/unused",))
     with caplog.at_level(logging.WARNING):
         log = load_bag(bag, load_model(MODEL))
     assert tuple(one.topic for one in log.streams().wrenches) == FT
     assert f"so {', '.join(FT)} count as the forces on the robot" in caplog.text
     assert 'wrench_topic: ["/ft/left", "/ft/right"] in robot.yaml' in caplog.text
+
+
+def test_a_robot_file_names_no_topic_of_an_identifier(bag_of):
+    assert tuple(inspect_robot(MODEL, [bag_of(*FT, RESIDUAL)]).options["wrench_topic"]) == FT
 
 
 def test_a_result_records_the_topics(bag_of):

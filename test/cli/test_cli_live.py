@@ -20,7 +20,7 @@ from symbid_ros.cli.live import given_parameters, report_end
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.node_names import unused_name
+from symbid_ros.ros.node_names import BUSY_DISCOVERY, DISCOVERY, discovery_time, unused_name
 
 DEADLINE = 300.0  # s; only a hang takes longer
 MODEL = config_file("symbitron.urdf")
@@ -89,7 +89,8 @@ def test_the_end_repeats_warnings_and_alarms(capsys, caplog) -> None:
 
 
 @pytest.mark.usefixtures("domain")
-def test_without_a_robot_it_waits_with_its_page_until_ctrl_c() -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_without_a_robot_it_waits_with_its_page_until_a_signal(number: signal.Signals) -> None:
     command = [Path(sys.executable).parent / "symbid", "live", MODEL, "--web", "--port", "0"]
     process = subprocess.Popen(
         command,
@@ -110,7 +111,7 @@ def test_without_a_robot_it_waits_with_its_page_until_ctrl_c() -> None:
         with urllib.request.urlopen(events, timeout=DEADLINE) as stream:
             # The identifier reports what it waits for.
             assert any(b"no sensor topics yet" in line for line in stream)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         _, err = process.communicate(timeout=DEADLINE)
     finally:
         if process.poll() is None:
@@ -153,6 +154,13 @@ def test_a_namespace_selects_the_identifier_of_one_robot(domain: int) -> None:
     finally:
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=DEADLINE)
+
+
+def test_a_busy_machine_gets_more_time_to_find_running_nodes(monkeypatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    for load, expected in ((1.5, DISCOVERY), (2.5, BUSY_DISCOVERY)):
+        monkeypatch.setattr(os, "getloadavg", lambda load=load: (load, 0.0, 0.0))
+        assert discovery_time() == expected
 
 
 def test_names_in_use_get_a_number() -> None:

@@ -40,6 +40,27 @@ def test_a_domain_with_a_node_is_in_use(tmp_path, monkeypatch, discovery: str) -
         assert again == domain
 
 
+@pytest.mark.parametrize(
+    ("last", "label"),
+    [
+        ("identifier: give `base` fixed (SYMBID-E811)", "give `base` fixed (see {}) (SYMBID-E811)"),
+        ("Killed", "identifier failed: Killed (see {}) (SYMBID-E553)"),
+    ],
+)
+def test_the_error_of_a_node_keeps_its_code(tmp_path, monkeypatch, last: str, label: str) -> None:
+    log = tmp_path / "log"
+
+    class Failing(subprocess.Popen):
+        def __init__(self, _: object, **options) -> None:
+            super().__init__(["sh", "-c", f"echo '{last}' >&2; exit 2"], **options)
+
+    monkeypatch.setattr(subprocess, "Popen", Failing)
+    node = NodeProcess("identifier", {}, os.environ, log)
+    with pytest.raises(SymbidError) as raised:
+        node.finish()
+    assert raised.value.labelled == label.format(log)
+
+
 def test_a_signal_while_a_node_starts_leaves_no_process(tmp_path, monkeypatch) -> None:
     started: list[subprocess.Popen[bytes]] = []
 

@@ -71,6 +71,8 @@ def test_shares_are_those_of_the_wrench_or_of_the_joints():
 
 
 def test_only_large_and_coloured_residuals_raise_an_alarm():
+    assert UnexplainedForce("knee", "Nm", 19.0, 9.7, 2.0).is_gross  # of the wrong sign
+    assert not UnexplainedForce("knee", "Nm", 9.5, 9.7, 0.98).is_gross  # all of it is friction
     small, large = (UnexplainedForce("knee", "Nm", 1.0, 80.0, f * SMALL) for f in (0.99, 1.01))
     above, below = 1.01 * SUSPICIOUS_WHITENESS, 0.99 * SUSPICIOUS_WHITENESS
     assert is_coloured(above, (large, small))

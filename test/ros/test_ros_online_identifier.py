@@ -90,7 +90,7 @@ def test_services_solve_enable_and_reset(graph) -> None:
     live = identifier(graph, solve_period=0.5, **LINKS)
     early = call(graph, Trigger, "/identifier/solve")
     assert not early.success
-    assert "no sensor topics yet" in early.message
+    assert "no sensor topics yet; waiting for topic /joint_states" in early.message
     bridge(graph, moves=40)
     graph.wait_until(lambda: probe.estimates and probe.until() > 1.5)
 

@@ -9,7 +9,7 @@ from threading import Event
 
 import pytest
 import rclpy
-from live_feed import feed_of
+from live_feed import Feed, feed_of
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -21,13 +21,17 @@ from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros.identifier_parameters import PARAMETERS
 from symbid_ros.ros.monitor_messages import TOO_EARLY_TO_FIT
-from symbid_ros.ros.online_identifier import OnlineIdentifier
+from symbid_ros.ros.online_identifier import EXACT_COST, OnlineIdentifier
 from symbid_ros.ros.parameters import declare
 from symbid_ros.ros.reporting import OK, WARN, NodeStatus
 from symbid_ros.ros.sensor_topics import SensorTopics
 
 MODEL = config_file("symbitron.xml")
 FILES = {"estimate.json", "information.npz", "model.urdf", "model.xml"}
+
+
+def newest_data(simulated) -> Feed:
+    return feed_of(simulated("smooth", moves=2, motion_seed=7, noise_seed=3))
 
 
 @pytest.fixture
@@ -39,7 +43,7 @@ def fed(domain: int, simulated, tmp_path: Path) -> Iterator[OnlineIdentifier]:
     overrides = [Parameter(name, value=value) for name, value in given.items()]
     node = Node("identifier", context=context, parameter_overrides=overrides)
     identifier = OnlineIdentifier(node, declare(node, PARAMETERS))
-    feed = feed_of(simulated("smooth", moves=2, motion_seed=7, noise_seed=3)).between(0.0, 2.0)
+    feed = newest_data(simulated).between(0.0, 2.0)
     live = OnlineIdentification(identifier._initial_state, feed.selected, identifier._pace)
     identifier._identification, identifier._selected = live, feed.selected
     feed.into(live)
@@ -74,22 +78,53 @@ def test_data_are_saved_though_the_node_ends_before_its_first_estimate(
     assert summary["alarms"] == saved["verdict"]["alarms"]
 
 
-def test_the_end_repeats_the_warnings_about_what_it_saves(fed: OnlineIdentifier, capsys) -> None:
+def test_an_end_without_time_for_an_estimate_states_what_the_newest_lacks(
+    fed: OnlineIdentifier, simulated, capsys
+) -> None:
     assert fed._solve() is not None
-    fed._solve_time = 10.0  # s; an exact estimate would take longer
+    newest_data(simulated).between(2.0, 3.5).into(fed._live)
+    fed._solve_times.append(10.0)  # s
+    fed._solve_times.popleft()
     fed.run(stopped())
     late, *_, early = json.loads(capsys.readouterr().out)["warnings"]
-    assert "saving the newest estimate, which lacks the latest data" in late
+    assert "saving the newest one, which lacks the last 1.5 s of the data" in late
     assert early == TOO_EARLY_TO_FIT  # there is no verdict
 
 
-def test_a_longer_save_time_allows_an_estimate_from_all_data(fed: OnlineIdentifier, capsys) -> None:
+def test_an_end_without_time_for_an_exact_estimate_uses_all_data(
+    fed: OnlineIdentifier, simulated, capsys
+) -> None:
     assert fed._solve() is not None
-    fed._solve_time, fed._save_time = 10.0, 60.0
+    rest = newest_data(simulated).between(2.0, 3.5)
+    rest.into(fed._live)
+    fed._solve_times.append(1.0)  # s
+    fed._solve_times.popleft()
+    fed.run(stopped())
+    (inexact, *_) = json.loads(capsys.readouterr().out)["warnings"]
+    assert "the saved one is of all data" in inexact
+    assert fed._newest is not None
+    assert fed._newest.until >= rest.messages[-1][0] - 10**7
+
+
+def test_a_longer_save_time_allows_an_exact_estimate(fed: OnlineIdentifier, capsys) -> None:
+    assert fed._solve() is not None
+    fed._solve_times.append(10.0)
+    fed._solve_times.popleft()
+    fed._save_time = 60.0
     fed.run(stopped())
     summary = json.loads(capsys.readouterr().out)
-    assert not any("newest estimate" in one for one in summary["warnings"])
+    assert not any("save_time" in one for one in summary["warnings"])
     assert (summary["alarms"], summary["warnings"][-1]) == ([], TOO_EARLY_TO_FIT)
+
+
+def test_a_choice_that_makes_one_estimate_slow_leaves_the_end_exact(
+    fed: OnlineIdentifier, capsys
+) -> None:
+    assert fed._solve() is not None
+    fed._solve_times.append(30.0)
+    fed._save_time = EXACT_COST * fed._solve_times[0] + 1.0
+    fed.run(stopped())
+    assert not any("save_time" in one for one in json.loads(capsys.readouterr().out)["warnings"])
 
 
 def test_a_save_answers_with_the_alarms_of_the_result(
@@ -124,18 +159,29 @@ def test_alarms_wait_until_joint_terms_can_be_chosen(
     alarming = replace(outcome, alarms=("the data widened the prior",))
 
     def status() -> NodeStatus:
-        fed._diagnostics.set_estimate(fed._live, alarming, None, 0.1)
+        fed._diagnostics.set_estimate(fed._live, alarming, None, 0.1, 0.0)
         (status,) = (one for one in fed._diagnostics.statuses() if one.part == "estimate")
         return status
 
-    fed._diagnostics.set_estimate(fed._live, replace(outcome, alarms=()), None, 0.1)
+    fed._diagnostics.set_estimate(fed._live, replace(outcome, alarms=()), None, 0.1, 0.0)
     (quiet,) = (one for one in fed._diagnostics.statuses() if one.part == "estimate")
     assert (quiet.level, quiet.message) == (OK, TOO_EARLY_TO_FIT)
     early = status()
     assert early.message.startswith("too early to tell whether the model")
     assert early.level == WARN  # no controller may use it
+    assert fed._alarms_of(alarming) == ()
+    alarming = replace(alarming, is_contradicted=True)
+    assert status().message == "the data widened the prior"
+    assert fed._alarms_of(alarming) == alarming.alarms
+    alarming = replace(alarming, is_contradicted=False)
     monkeypatch.setattr(OnlineIdentification, "can_tell_change", True)
     assert status().message == "the data widened the prior"
+
+
+def test_the_age_counts_from_when_the_newest_message_was_taken(fed: OnlineIdentifier) -> None:
+    fed._taken -= 5.0  # s without data, or of a slow solve
+    assert fed._solve() is not None
+    assert age_of(fed) >= 5.0
 
 
 def test_a_disabled_identifier_reports_no_fault(fed: OnlineIdentifier) -> None:
@@ -152,9 +198,6 @@ def test_the_newest_estimate_is_saved_when_an_error_ends_the_node(
     fed: OnlineIdentifier, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert fed._solve() is not None
-    age = age_of(fed)
-    fed._diagnostics._solved -= 5.0  # s without data
-    assert age_of(fed) >= age + 5.0
 
     def fail(_: SensorTopics) -> None:
         raise MemoryError("the graph is too large")

@@ -103,6 +103,27 @@ def test_every_quality_of_service_is_matched_and_recorded(graph, tmp_path: Path)
     assert "durability: transient_local" in qos["/robot/description"]
 
 
+def test_a_driver_that_restarts_with_another_quality_of_service_is_recorded(
+    graph, tmp_path: Path
+) -> None:
+    health = StatusProbe(graph)
+    recorder = graph.start("recorder", bag=tmp_path / "bag", topics="[joint_states]")
+
+    def recorded() -> int:
+        return health.count("/recorder: recording", "messages")
+
+    for qos in (RELIABLE, BEST_EFFORT):
+        before = recorded()
+        publisher = graph.node.create_publisher(JointState, "joint_states", qos)
+        graph.wait_until(publisher.get_subscription_count)
+        for n in range(before, before + 50):
+            publisher.publish(joint_state(n))
+        graph.wait_until(lambda expected=before + 50: recorded() == expected)
+        graph.node.destroy_publisher(publisher)
+    recorder.send(signal.SIGINT)
+    assert json.loads(recorder.ended().out)["recorded"] == {"/joint_states": 100}
+
+
 def test_relative_topics_follow_the_namespace(graph, tmp_path: Path) -> None:
     publisher = graph.node.create_publisher(JointState, "/robot/joint_states", RELIABLE)
     recorder = graph.start(

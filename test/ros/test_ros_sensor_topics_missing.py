@@ -108,7 +108,7 @@ def arm(domain: int, tmp_path: Path) -> Iterator[Robot]:
 
 def test_faults_and_their_end_are_reported_while_the_node_runs(arm: Robot) -> None:
     mistyped = arm.node.create_publisher(JointState, "/arm/joint_state", 100)
-    arm.wait_for("waiting for topic /arm/joint_states (parameter joint_topic)", "/arm/joint_state;")
+    arm.wait_for("waiting for topic /arm/joint_states (`joint_topic`)", "/arm/joint_state;")
     cured = arm.node.create_publisher(JointState, "/arm/joint_states", 100)
     arm.wait_for("identifying arm from /arm/joint_states")
     arm.wait_for("/arm/joint_states: resolved")
@@ -147,7 +147,7 @@ GRAPH = {
             TopicSelection(joints=("/joints",)),
             [],
             False,
-            {"/joints": "parameter joint_topic., which has no publisher; .* /robot/joint_states;"},
+            {"/joints": "`joint_topic`., which has no publisher; .* /robot/joint_states;"},
         ),
         (
             TopicSelection(joints=("/chatter",), wrenches=("/foot",)),
@@ -155,7 +155,7 @@ GRAPH = {
             False,
             {
                 "/chatter": "/chatter is of type std_msgs/msg/String, not sensor_msgs/msg/JointSt",
-                "/foot": "parameter wrench_topic.* topics of that type: none",
+                "/foot": "`wrench_topic`.* topics of that type: none",
             },
         ),
         (
@@ -163,8 +163,8 @@ GRAPH = {
             [],
             True,
             {
-                "joint states": "/robot/joint_states; start .* parameter joint_topic",
-                "IMU": "/imu/data; start .* imu_topic, or give base:=fixed",
+                "joint states": "/robot/joint_states; start .* give `joint_topic`",
+                "IMU": "/imu/data; start .* give `imu_topic`, or `base` fixed",
             },
         ),
         (TopicSelection(), ["/robot/joint_states"], False, {}),
