@@ -13,7 +13,7 @@ from symbid_ros.diagnosis.timing import TimingCheck
 from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
-from symbid_ros.signals.alignment import contact_flag_faults, wrist_sensor_faults
+from symbid_ros.signals.alignment import contact_flag_faults, missing_imu, wrist_sensor_faults
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
 from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
 
@@ -197,16 +197,9 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
         Finding(Kind.UNKNOWN_FRAME, "", Severity.UNUSABLE, f"{streams.source}: {fault}")
         for fault in (*wrist_sensor_faults(streams, model), *contact_flag_faults(streams, model))
     ]
-    if model.floating and not streams.imus:
-        found.append(
-            Finding(
-                Kind.SILENT,
-                "",
-                Severity.UNUSABLE,
-                f"{streams.source}: the base of {model.source} floats, but no topic is of type "
-                "sensor_msgs/msg/Imu; record the IMU, or set `base` to fixed if it is bolted down",
-            )
-        )
+    if fault := missing_imu(streams, model):
+        text = f"{streams.source}: {fault}"
+        found.append(Finding(Kind.SILENT, "", Severity.UNUSABLE, text))
     return found
 
 
