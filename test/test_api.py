@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from expected_errors import raises_code
 from random_robots import random_robot
 from threadpoolctl import threadpool_info, threadpool_limits
 from tree_simulation import TreeSimulation
@@ -208,12 +209,42 @@ def test_objects_that_hold_arrays_are_equal_to_themselves_alone(robot, result) -
 
 @pytest.mark.parametrize("function", [sy.identify, sy.diagnose])
 def test_other_things_than_robots_and_logs_are_named(function, robot, log, result) -> None:
-    with pytest.raises(TypeError, match=r"robot must be .*load_model.*, not Log"):
+    with raises_code("E511", r"robot must be .*load_model.*, not Log"):
         function(log, robot)
-    with pytest.raises(TypeError, match=r"log must be .*load_bag.*, not Result"):
+    with raises_code("E511", r"log must be .*load_bag.*, not Result"):
         function(robot, result)
-    with pytest.raises(TypeError, match=r"log must be .*load_bag.*, not str"):
+    with raises_code("E511", r"log must be .*load_bag.*, not str"):
         function(robot, "my_bag")
+
+
+def test_a_result_predicts_and_validates_logs_alone(result, log) -> None:
+    for other in (result.information, np.zeros((5, 3)), "my_bag"):
+        with raises_code("E511", f"log must be .*, not {type(other).__name__}"):
+            sy.validate(result, other)
+        with raises_code("E511", f"log must be .*, not {type(other).__name__}"):
+            result.predict(other)
+    with raises_code("E511", "result must be .*, not LogInformation"):
+        sy.validate(result.information, log)
+
+
+def test_options_of_functions_are_one_object_or_fields_of_these_names(robot, log, folder) -> None:
+    identify, diagnose = (
+        lambda *options, one=one, **fields: one(robot, log, *options, **fields)
+        for one in (sy.identify, sy.diagnose)
+    )
+
+    def load(*options, **fields):
+        return sy.load_bag(folder / "log", robot, *options, **fields)
+
+    for function, kind in ((identify, sy.IdentifyOptions), (load, sy.LogOptions)):
+        with raises_code("E501", f"'strat' is not an option; see symbid_ros.{kind.__name__}"):
+            function(strat=3)
+        with raises_code("E502", "not both"):
+            function(kind(), start=3.0)
+        with raises_code("E501", f"options is a dict; give a symbid_ros.{kind.__name__}"):
+            function({"start": 3.0})
+    with raises_code("E502", "not both"):
+        diagnose(sy.IdentifyOptions(), contact=("foot",))
 
 
 def test_a_table_needs_pandas(result, monkeypatch) -> None:
@@ -255,7 +286,7 @@ def test_merged_information_equals_that_of_both_logs(robot, folder, result) -> N
     with pytest.raises(sy.EstimateError, match="counted twice"):
         sy.merge([result.information, result.information])
     for wrong in ([result, result], result.information):
-        with pytest.raises(TypeError, match="list of LogInformation"):
+        with raises_code("E511", "list of LogInformation"):
             sy.merge(wrong)
 
 

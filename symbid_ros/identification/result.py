@@ -28,7 +28,7 @@ from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import without_wrist_sensors
-from symbid_ros.signals.log import Log
+from symbid_ros.signals.log import Log, require_log
 
 if TYPE_CHECKING:
     import pandas
@@ -272,6 +272,7 @@ class Result:
         BagError, DataError, ModelError
             When the log is invalid or of another robot.
         """
+        require_log(log)
         parts = list(self._rows(log))
         if not parts:
             raise EstimateError(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.choices import BASES, Base
-from symbid_ros.errors import ModelError, OptionError
+from symbid_ros.errors import DataError, ModelError, OptionError
 from symbid_ros.model.inertia import ball_density
 from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.mjcf_source import read_mjcf
@@ -61,9 +61,10 @@ def as_model(robot: RobotModel | str | Path) -> RobotModel:
         return robot
     if isinstance(robot, str | Path):
         return load_model(robot)
-    raise TypeError(
+    raise DataError(
         "robot must be a RobotModel (see symbid_ros.load_model) or the path of its file, not "
-        f"{type(robot).__name__}"
+        f"{type(robot).__name__}",
+        "E511",
     )
 
 

@@ -26,7 +26,7 @@ from symbid_ros.messages.types import IMU, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.load import as_model, is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
-from symbid_ros.options import robot_file_line
+from symbid_ros.options import chosen_options, robot_file_line
 from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import TimeRange
@@ -60,7 +60,7 @@ def load_bag(
         When an option is invalid.
     """
     paths = [Path(one) for one in ([bags] if isinstance(bags, str | Path) else bags)]
-    options = options or LogOptions(**fields)
+    options = chosen_options(LogOptions, options, fields)
     if robot is None:
         return open_bags(paths, None, options)
     robot = as_model(robot)

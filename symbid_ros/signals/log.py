@@ -320,6 +320,23 @@ class Log:
         return cls(streams.source, _read=read)
 
 
+def require_log(log: object, *others: type) -> None:
+    """Check that what a user gave is a log, or of another kind that a function takes.
+
+    Raises
+    ------
+    DataError
+        When it is not.
+    """
+    if not isinstance(log, (Log, *others)):
+        names = " or a ".join(kind.__name__ for kind in (Log, *others))
+        raise DataError(
+            f"log must be a {names} (see symbid_ros.load_bag and symbid_ros.Log.from_arrays), not "
+            f"{type(log).__name__}",
+            "E511",
+        )
+
+
 def _by_frame(what: str, given: Mapping[str, ArrayLike] | None) -> Mapping[str, ArrayLike]:
     """Return the arrays of sensors by their frames, after checking that they are named."""
     if given is None:
