@@ -24,6 +24,7 @@ from symbid_ros.identification.report_series import (
     force_series,
     report_data,
 )
+from symbid_ros.identification.resting_joints import unpredicted_at_rest
 from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import validate_segments
 from symbid_ros.identification.warming import during
@@ -95,7 +96,10 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
         if wrong is not None:
             alarm = wrong.alarm
             problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
-    found = problem.with_provenance(with_joint_alarms(problem, explained(problem, found)))
+    residual = found.estimate.residual_rmse
+    resting = unpredicted_at_rest(problem.solver, problem.dataset.segments, residual)
+    found = with_joint_alarms(problem, explained(problem, found, resting), resting)
+    found = problem.with_provenance(found)
     for one in wrist_sensor_alarms(problem):
         found = _with_alarm(found, one)
     if alarm is not None:
