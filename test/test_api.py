@@ -1,6 +1,7 @@
 """The public API, as the README and a notebook use it."""
 
 import pickle
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -193,6 +194,17 @@ def test_a_robot_may_be_named_by_its_file(folder, robot, log) -> None:
     readings = np.zeros((60, len(robot.measured_joint_names)))
     arrays = {"time": np.arange(60) / 50, "position": readings, "effort": readings}
     assert sy.Log.from_arrays(robot.source, **arrays).streams().joints.names == robot.joint_names
+
+
+def test_functions_document_what_they_take_return_and_raise() -> None:
+    functions = [getattr(sy, name) for name in sy.__all__ if name.islower() and name[0] != "_"]
+    functions += [sy.Result.predict, sy.Result.save, sy.Log.from_arrays]
+    assert sy.load_bag in functions
+    for function in functions:
+        for section in ("Parameters", "Returns", "Raises"):
+            if (function, section) != (sy.Log.from_arrays, "Returns"):  # a constructor
+                title = f"{section}\n *{'-' * len(section)}\n"
+                assert re.search(title, function.__doc__), f"{function.__name__}: {section}"
 
 
 @pytest.mark.parametrize("base", ["float", "FIXED", None])

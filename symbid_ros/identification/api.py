@@ -56,10 +56,24 @@ def identify(
     **fields
         Fields of :class:`symbid_ros.IdentifyOptions` instead, such as ``prior_percent=25``.
 
+    Returns
+    -------
+    Result
+        The identified robot, in SI units: parameters with standard deviations, links, alarms, and
+        the information to be merged with that of other logs.
+
     Raises
     ------
-    SymbidError
-        When the log is unusable, does not match the robot, or an option is invalid.
+    BagError
+        When a bag is missing or damaged, or lacks a topic.
+    ModelError
+        When a joint or frame of the log is not in the model, or the model has no mass.
+    DataError
+        When the log is unusable, such as too short, without efforts or in wrong units.
+    PriorError
+        When the prior is of another model.
+    EstimateError, OptionError
+        When nothing can be estimated, or an option is invalid.
     """
     options = chosen_options(IdentifyOptions, options, fields)
     robot = as_model(robot)
@@ -94,6 +108,23 @@ def diagnose(
         Mounting, wrist sensors and contacts, as of an identification.
     **fields
         These options by name instead, such as ``wrist_sensor=("tool0",)``.
+
+    Returns
+    -------
+    Diagnosis
+        Its ``findings`` say what is wrong, how severe that is and what to do; faults of the log are
+        findings, not errors.
+
+    Raises
+    ------
+    BagError
+        When a bag is missing, or lacks a topic.
+    ModelError
+        When the model file is invalid.
+    DataError
+        When ``log`` is not a log.
+    OptionError
+        When an option is invalid.
     """
     options = chosen_options(RobotOptions, options, fields)
     robot = None if robot is None else as_model(robot)
@@ -131,10 +162,22 @@ def diagnose(
 def merge(records: Sequence[LogInformation]) -> LogInformation:
     """Add up the information of several logs of one robot.
 
+    Parameters
+    ----------
+    records : sequence of LogInformation
+        :attr:`Result.information` of each log, or what :meth:`LogInformation.load` read.
+
+    Returns
+    -------
+    LogInformation
+        The sum, which :func:`identify` takes in place of a log.
+
     Raises
     ------
     EstimateError
         When the records differ in robot, parameters or windows, or share seconds of a log.
+    DataError
+        When there is no record, or one is something else.
     """
     if isinstance(records, LogInformation) or any(
         not isinstance(one, LogInformation) for one in records

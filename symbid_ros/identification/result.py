@@ -267,10 +267,22 @@ class Result:
     def predict(self, log: Log) -> ForcePrediction:
         """Predict the generalised forces of a log from its motion.
 
+        Parameters
+        ----------
+        log : Log
+            Of this robot, from :func:`symbid_ros.load_bag` or :meth:`symbid_ros.Log.from_arrays`.
+
+        Returns
+        -------
+        ForcePrediction
+            Measured and predicted forces (N, n), Nm or N, in the N windows of the log.
+
         Raises
         ------
         BagError, DataError, ModelError
             When the log is invalid or of another robot.
+        EstimateError
+            When the log is too short for a window.
         """
         require_log(log)
         parts = list(self._rows(log))
@@ -296,6 +308,11 @@ class Result:
     def to_frame(self) -> "pandas.DataFrame":
         """Return the parameters as a table, one row each, indexed by name.
 
+        Returns
+        -------
+        pandas.DataFrame
+            Columns ``unit``, ``value``, ``std``, ``prior`` and ``is_determined``.
+
         Raises
         ------
         EstimateError
@@ -313,8 +330,18 @@ class Result:
     def save(self, folder: str | Path, *, kinematics: bool = False) -> Path:
         """Write estimate.json, information.npz, report_data.npz, model.urdf and model.xml.
 
-        With ``kinematics`` also calibrated.urdf and calibrated.xml, in which joints have the
-        placements that ``sensor_errors`` link_length and joint_axis found.
+        Parameters
+        ----------
+        folder : str or Path
+            New folder, or that of an earlier result.
+        kinematics : bool
+            Whether to write calibrated.urdf and calibrated.xml as well, in which joints have the
+            placements that ``sensor_errors`` link_length and joint_axis found.
+
+        Returns
+        -------
+        Path
+            The folder.
 
         Raises
         ------

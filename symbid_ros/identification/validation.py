@@ -305,10 +305,18 @@ def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = 
         Payloads that the robot carries in it: ``LINK,MASS,X,Y,Z``, or ``LINK,MASS`` if the result
         has identified the place.
 
+    Returns
+    -------
+    Validation
+        Errors of the original and of the identified model (Nm or N, and percent of what was
+        measured), and a verdict.
+
     Raises
     ------
-    SymbidError
-        When a file of the result, or the log, is invalid or belongs to another robot.
+    BagError, DataError, ModelError
+        When the log is invalid or of another robot.
+    EstimateError
+        When a file of the result is missing or invalid.
     """
     predictor = predictor_of(result, log, payload)
     return validate_segments(predictor, AlignedLog(log, predictor.parameters.model), log.source)

@@ -32,7 +32,13 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
         ``.urdf`` or ``.xml`` file.
     base : {"auto", "floating", "fixed"}
         Whether the base may move. An MJCF says so by a free joint, which "floating" and
-        "fixed" must match.
+        "fixed" must match. "auto" takes the base of a URDF as floating unless a fixed joint
+        carries it on a massless root ``world``.
+
+    Returns
+    -------
+    RobotModel
+        Joints, links and frames; masses in kg, lengths in m, angles in rad.
 
     Raises
     ------

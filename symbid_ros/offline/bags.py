@@ -54,8 +54,18 @@ def load_bag(
     **fields
         Fields of :class:`symbid_ros.LogOptions` instead, such as ``start=2.0``.
 
+    Returns
+    -------
+    Log
+        To be identified, diagnosed, validated or predicted; its bags are read then.
+
     Raises
     ------
+    BagError
+        When a bag of a floating robot is missing. Other errors of bags are raised where the log is
+        used.
+    ModelError
+        When the model file is invalid.
     OptionError
         When an option is invalid.
     """
@@ -278,6 +288,11 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
     result : Result
     bags : str, Path or sequence of these
         Simulated bag with ground truth, preferably of another motion than the identified log.
+
+    Returns
+    -------
+    Metrics
+        Errors of the identified robot, in SI units and percent.
 
     Raises
     ------
