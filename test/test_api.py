@@ -1,5 +1,6 @@
 """The public API, as the README and a notebook use it."""
 
+import json
 import pickle
 import re
 import subprocess
@@ -257,6 +258,36 @@ def test_options_of_functions_are_one_object_or_fields_of_these_names(robot, log
             function({"start": 3.0})
     with raises_code("E502", "not both"):
         diagnose(sy.IdentifyOptions(), contact=("foot",))
+
+
+def test_a_prior_of_single_links_is_a_mapping(robot, log, tmp_path) -> None:
+    path = tmp_path / "prior.json"
+    name = f"{robot.link_names[1]}/m"
+    given = {
+        one: {"value": value, "std": 0.1 * abs(value) + 1e-3}
+        for one, value in zip(names_of(robot), robot.inertial_parameters.tolist(), strict=True)
+    }
+    given[name]["std"] = 1e-4
+    document = {"model": robot.name, "kind": "mine", "seed": None, "parameters": given}
+    path.write_text(json.dumps(document))
+    read = sy.identify(robot, log, prior=path)
+    found = sy.identify(robot, log, prior={"parameters": given})
+    np.testing.assert_allclose(found.estimate.value, read.estimate.value, rtol=1e-9, atol=1e-12)
+    assert found.parameters[name].std <= 1e-4
+    found.save(tmp_path / "out")
+    saved = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert saved["provenance"]["options"]["prior"]["parameters"] == given
+    del given[name]
+    with raises_code("E403", f"the prior lacks {name}"):
+        sy.identify(robot, log, prior={"parameters": given})
+    for wrong in ({"parameters": [1.0]}, {"values": given}, 5):
+        with raises_code("E402"):
+            sy.identify(robot, log, prior=wrong)
+
+
+def names_of(robot) -> list[str]:
+    parts = "m", "mc_x", "mc_y", "mc_z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"
+    return [f"{link}/{part}" for link in robot.link_names for part in parts]
 
 
 def test_a_table_needs_pandas(result, monkeypatch) -> None:

@@ -55,6 +55,8 @@ def identify(
         Options of the identification.
     **fields
         Fields of :class:`symbid_ros.IdentifyOptions` instead, such as ``prior_percent=25``.
+        ``prior`` may also be a mapping with what a ``prior.json`` holds: ``{"parameters":
+        {"LINK/m": {"value": 2.3, "std": 0.2}, …}}`` with all ten parameters of each link.
 
     Returns
     -------
