@@ -424,11 +424,12 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
     effort[:, list(model.followers)] = 0.0
     for place in model.wrist_sensors.values():
         effort[:, place] = 0.0  # their readings follow in each segment
-    efforts = measured_efforts(stamp, effort, model, longest, topic)
+    action = (
+        "give efforts in Nm (N)" if streams.is_arrays else "let the driver fill JointState.effort"
+    )
+    efforts = measured_efforts(stamp, effort, model, longest, topic=topic, remedy=action)
     if not model.floating and not efforts.any_row:
-        fault, action = "no effort of any joint", "let the driver fill JointState.effort"
-        if streams.is_arrays:
-            action = "give efforts in Nm (N)"
+        fault = "no effort of any joint"
         if has_efforts:
             fault = f"gaps of more than {int(LONGEST_GAP)} efforts of every joint"
             action = COMPLETE_ROWS if streams.is_arrays else "let the driver publish all at once"

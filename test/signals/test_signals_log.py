@@ -369,3 +369,14 @@ def test_a_part_of_a_log_is_cut_at_its_ends(robot, span) -> None:
         assert min(first + 2_000_000_000, one.stop + 200_000_000) - stamp[-1] <= 10_000_000
         assert one.start - 200_000_000 <= stamp[0]
         assert stamp[-1] < one.stop + 200_000_000
+
+
+def test_a_warning_about_missing_efforts_fits_arrays(arm_model, caplog) -> None:
+    joints = len(arm_model.measured_joint_names)
+    values = np.random.default_rng(5).normal(size=(2, 400, joints))
+    values[1, :, 2] = np.nan
+    given = dict(zip(("position", "effort"), values, strict=True))
+    log = Log.from_arrays(arm_model, time=np.arange(400) / 100, **given)
+    align_checked(log.streams(), arm_model)
+    (warning,) = (one for one in caplog.messages if arm_model.joint_names[2] in one)
+    assert warning.endswith("give efforts in Nm (N)")
