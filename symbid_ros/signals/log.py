@@ -211,8 +211,8 @@ class Log:
             shape = len(stamp), width or len(names)
             if array.shape != shape:
                 raise DataError(
-                    f"{name}: {what} has shape {array.shape}, expected {shape}: one row for each "
-                    f"of {len(stamp)} instants",
+                    f"{name}: {what} has shape {array.shape}, expected {shape}: a row for each "
+                    f"instant, and a column for each {'component' if width else 'joint'}",
                     "E511",
                 )
             return drop_impossible(array[kept])
