@@ -58,10 +58,13 @@ class JointCheck:
     topic : str
     names : tuple of str
         J joints.
+    is_arrays : bool
+        Whether the readings are arrays of a user instead of messages.
     """
 
     topic: str
     names: tuple[str, ...]
+    is_arrays: bool = False
     _both: FloatArray = field(init=False)
     _low: FloatArray = field(init=False)
     _high: FloatArray = field(init=False)
@@ -201,8 +204,8 @@ class JointCheck:
                         self.topic,
                         Kind.MISSING_JOINT,
                         f"the effort of {self._list_names(places)} is "
-                        f"{'always zero' if is_zero else 'in no message'}, {rows} of the equation "
-                        "of motion cannot be used; let the driver fill JointState.effort",
+                        f"{'always zero' if is_zero else f'in no {self._kind}'}, {rows} of the "
+                        f"equation of motion cannot be used; {self._remedy('effort')}",
                         {"joints": len(places)},
                         Severity.UNUSABLE if is_fatal else Severity.WARNING,
                     )
@@ -260,11 +263,20 @@ class JointCheck:
         yield Finding.of(
             self.topic,
             Kind.MISSING_JOINT,
-            f"{'' if len(places) == 1 else 'up to '}{most} of {self._messages} messages have no "
-            f"{kind} of {self._list_names(places)}; let the driver fill JointState.{kind}",
+            f"{'' if len(places) == 1 else 'up to '}{most} of {self._messages} {self._kind}s have "
+            f"no {kind} of {self._list_names(places)}; {self._remedy(kind)}",
             {"messages": most, "share": most / self._messages},
             severity,
         )
+
+    @property
+    def _kind(self) -> str:
+        return "row" if self.is_arrays else "message"
+
+    def _remedy(self, quantity: str) -> str:
+        if self.is_arrays:
+            return f"give the {quantity} of every joint in each row"
+        return f"let the driver fill JointState.{quantity}"
 
     def _velocity_findings(self) -> list[Finding]:
         change, product, velocity = self._both / max(self._count, 1)

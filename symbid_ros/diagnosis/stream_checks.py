@@ -74,7 +74,9 @@ class StreamChecks:
             if imu.topic not in differentiated:
                 self._imu_checks.setdefault(imu.topic, ImuCheck(imu.topic)).add(imu)
         if self._joint_check is None:
-            self._joint_check = JointCheck(streams.joints.topic, streams.joints.names)
+            self._joint_check = JointCheck(
+                streams.joints.topic, streams.joints.names, streams.is_arrays
+            )
         self._joint_check.add(streams.joints, during)
         topic = streams.joints.topic
         self._jitter_checks.setdefault(topic, JitterCheck(topic)).add(streams.joints, during)

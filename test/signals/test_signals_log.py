@@ -12,6 +12,8 @@ from expected_errors import raises_code
 from random_robots import random_robot
 
 from symbid_ros.bags import bag_log, read_streams
+from symbid_ros.diagnosis.doctor import diagnose
+from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
@@ -380,3 +382,8 @@ def test_a_warning_about_missing_efforts_fits_arrays(arm_model, caplog) -> None:
     align_checked(log.streams(), arm_model)
     (warning,) = (one for one in caplog.messages if arm_model.joint_names[2] in one)
     assert warning.endswith("give efforts in Nm (N)")
+    finding = next(
+        one for one in diagnose(log, arm_model).findings if one.kind is Kind.MISSING_JOINT
+    )
+    assert "is in no row" in finding.message
+    assert finding.message.endswith("give the effort of every joint in each row")
