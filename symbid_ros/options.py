@@ -4,17 +4,22 @@ A command's flags, a node's parameters, parameter files, launch arguments and th
 are generated from these fields, so they cannot drift apart.
 """
 
+import dataclasses
 import json
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from symbid_ros.errors import OptionError
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
 _KEY = "option"
 
 
@@ -176,7 +181,7 @@ class Option:
 
 def options_of(kind: type) -> tuple[Option, ...]:
     """Return the options that a dataclass defines, in order."""
-    entries = [entry for entry in fields(kind) if _KEY in entry.metadata]
+    entries = [entry for entry in dataclasses.fields(kind) if _KEY in entry.metadata]
     # Hints of other dataclasses may name types that are imported for type checks only.
     hints = get_type_hints(kind) if entries else {}
     return tuple(
@@ -195,6 +200,33 @@ def check_values(options: Any) -> None:
     """
     for each in options_of(type(options)):
         object.__setattr__(options, each.name, each.value_of(getattr(options, each.name)))
+
+
+def chosen_options(kind: type[T], options: T | None, fields: Mapping[str, Any]) -> T:
+    """Return the options that a function got, as one object or as single fields of its kind.
+
+    Raises
+    ------
+    OptionError
+        When both are given, or an option has an unknown name or an invalid value.
+    """
+    if options is None:
+        known = {each.name for each in dataclasses.fields(kind) if each.init}
+        for name in fields:
+            if name not in known:
+                raise OptionError(
+                    f"{name!r} is not an option; see symbid_ros.{kind.__name__}", "E501"
+                )
+        return kind(**fields)
+    if fields:
+        raise OptionError("give either options or single fields, not both", "E502")
+    if not isinstance(options, kind):
+        raise OptionError(
+            f"options is a {type(options).__name__}; give a symbid_ros.{kind.__name__}, or its "
+            "fields by name",
+            "E501",
+        )
+    return options
 
 
 def refuse_unused(options: Any, reason: str, names: Collection[str] | None = None) -> None:

@@ -1,6 +1,8 @@
 """The public API, as the README and a notebook use it."""
 
+import json
 import pickle
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -8,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from expected_errors import raises_code
 from random_robots import random_robot
 from threadpoolctl import threadpool_info, threadpool_limits
 from tree_simulation import TreeSimulation
@@ -194,6 +197,17 @@ def test_a_robot_may_be_named_by_its_file(folder, robot, log) -> None:
     assert sy.Log.from_arrays(robot.source, **arrays).streams().joints.names == robot.joint_names
 
 
+def test_functions_document_what_they_take_return_and_raise() -> None:
+    functions = [getattr(sy, name) for name in sy.__all__ if name.islower() and name[0] != "_"]
+    functions += [sy.Result.predict, sy.Result.save, sy.Log.from_arrays]
+    assert sy.load_bag in functions
+    for function in functions:
+        for section in ("Parameters", "Returns", "Raises"):
+            if (function, section) != (sy.Log.from_arrays, "Returns"):  # a constructor
+                title = f"{section}\n *{'-' * len(section)}\n"
+                assert re.search(title, function.__doc__), f"{function.__name__}: {section}"
+
+
 @pytest.mark.parametrize("base", ["float", "FIXED", None])
 def test_a_base_is_one_of_three(robot, base) -> None:
     with pytest.raises(sy.OptionError, match="choose from auto, floating, fixed"):
@@ -208,12 +222,72 @@ def test_objects_that_hold_arrays_are_equal_to_themselves_alone(robot, result) -
 
 @pytest.mark.parametrize("function", [sy.identify, sy.diagnose])
 def test_other_things_than_robots_and_logs_are_named(function, robot, log, result) -> None:
-    with pytest.raises(TypeError, match=r"robot must be .*load_model.*, not Log"):
+    with raises_code("E511", r"robot must be .*load_model.*, not Log"):
         function(log, robot)
-    with pytest.raises(TypeError, match=r"log must be .*load_bag.*, not Result"):
+    with raises_code("E511", r"log must be .*load_bag.*, not Result"):
         function(robot, result)
-    with pytest.raises(TypeError, match=r"log must be .*load_bag.*, not str"):
+    with raises_code("E511", r"log must be .*load_bag.*, not str"):
         function(robot, "my_bag")
+
+
+def test_a_result_predicts_and_validates_logs_alone(result, log) -> None:
+    for other in (result.information, np.zeros((5, 3)), "my_bag"):
+        with raises_code("E511", f"log must be .*, not {type(other).__name__}"):
+            sy.validate(result, other)
+        with raises_code("E511", f"log must be .*, not {type(other).__name__}"):
+            result.predict(other)
+    with raises_code("E511", "result must be .*, not LogInformation"):
+        sy.validate(result.information, log)
+
+
+def test_options_of_functions_are_one_object_or_fields_of_these_names(robot, log, folder) -> None:
+    identify, diagnose = (
+        lambda *options, one=one, **fields: one(robot, log, *options, **fields)
+        for one in (sy.identify, sy.diagnose)
+    )
+
+    def load(*options, **fields):
+        return sy.load_bag(folder / "log", robot, *options, **fields)
+
+    for function, kind in ((identify, sy.IdentifyOptions), (load, sy.LogOptions)):
+        with raises_code("E501", f"'strat' is not an option; see symbid_ros.{kind.__name__}"):
+            function(strat=3)
+        with raises_code("E502", "not both"):
+            function(kind(), start=3.0)
+        with raises_code("E501", f"options is a dict; give a symbid_ros.{kind.__name__}"):
+            function({"start": 3.0})
+    with raises_code("E502", "not both"):
+        diagnose(sy.IdentifyOptions(), contact=("foot",))
+
+
+def test_a_prior_of_single_links_is_a_mapping(robot, log, tmp_path) -> None:
+    path = tmp_path / "prior.json"
+    name = f"{robot.link_names[1]}/m"
+    given = {
+        one: {"value": value, "std": 0.1 * abs(value) + 1e-3}
+        for one, value in zip(names_of(robot), robot.inertial_parameters.tolist(), strict=True)
+    }
+    given[name]["std"] = 1e-4
+    document = {"model": robot.name, "kind": "mine", "seed": None, "parameters": given}
+    path.write_text(json.dumps(document))
+    read = sy.identify(robot, log, prior=path)
+    found = sy.identify(robot, log, prior={"parameters": given})
+    np.testing.assert_allclose(found.estimate.value, read.estimate.value, rtol=1e-9, atol=1e-12)
+    assert found.parameters[name].std <= 1e-4
+    found.save(tmp_path / "out")
+    saved = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert saved["provenance"]["options"]["prior"]["parameters"] == given
+    del given[name]
+    with raises_code("E403", f"the prior lacks {name}"):
+        sy.identify(robot, log, prior={"parameters": given})
+    for wrong in ({"parameters": [1.0]}, {"values": given}, 5):
+        with raises_code("E402"):
+            sy.identify(robot, log, prior=wrong)
+
+
+def names_of(robot) -> list[str]:
+    parts = "m", "mc_x", "mc_y", "mc_z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"
+    return [f"{link}/{part}" for link in robot.link_names for part in parts]
 
 
 def test_a_table_needs_pandas(result, monkeypatch) -> None:
@@ -255,7 +329,7 @@ def test_merged_information_equals_that_of_both_logs(robot, folder, result) -> N
     with pytest.raises(sy.EstimateError, match="counted twice"):
         sy.merge([result.information, result.information])
     for wrong in ([result, result], result.information):
-        with pytest.raises(TypeError, match="list of LogInformation"):
+        with raises_code("E511", "list of LogInformation"):
             sy.merge(wrong)
 
 

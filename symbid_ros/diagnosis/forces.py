@@ -315,7 +315,7 @@ def _wrench_findings(
             topic,
             Severity.UNUSABLE,
             f"{topic}: has the wrong sign (gain {turn.sign * turn.scale / common:.2f} relative "
-            f"to the others); publish the wrench of the environment on the robot in {frame}, or "
+            f"to the others); give the wrench of the environment on the robot in {frame}, or "
             + (
                 f"remove {frame} from `flip_wrench`, which reverses it"
                 if frame in conversions.flipped
@@ -421,7 +421,7 @@ def _unit_finding(topic: str, reads: Mapping[str, float], unit: float, line: str
         topic,
         Severity.WARNING,
         f"{topic}: effort of all joints reads {middle:.3g} times what the motion implies{name}; "
-        f"publish Nm (N), or write {line}",
+        f"give Nm (N), or write {line}",
         {"reads": middle} | {f"{joint}/reads": one for joint, one in reads.items()},
     )
 
@@ -457,7 +457,7 @@ def _sign_finding(
         topic,
         Severity.UNUSABLE,
         f"{topic}: effort of {'all joints' if are_all else ', '.join(gains)} has the wrong sign "
-        f"(gain {np.mean(list(gains.values())):.2f} relative to the others); publish it along the "
+        f"(gain {np.mean(list(gains.values())):.2f} relative to the others); give it along the "
         f"joint's axis, or write {conversions.effort_line(dict.fromkeys(gains, -1.0))}",
         {f"{name}/gain": gain for name, gain in gains.items()},
     )

@@ -219,7 +219,7 @@ class ImuCheck:
                     self.topic,
                     Kind.GRAVITY,
                     f"linear_acceleration is {mean:.3g} m/s² on average, it lacks gravity; "
-                    "publish the raw specific force, +9.81 upwards at rest (REP-145)",
+                    "give the raw specific force, +9.81 upwards at rest (REP-145)",
                     figures,
                 )
             ]

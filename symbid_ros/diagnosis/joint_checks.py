@@ -7,7 +7,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
-from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.tree import Joint, RobotModel
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.streams import JointStream
@@ -29,6 +29,9 @@ SAME, FEWEST_SAME, CLOCK_SCALES = 1.02, 3, (0.8, 1.25)
 LIMIT_MARGIN = 0.35
 # Angles of a robot's only joint beyond this, rad, are degrees: few joints turn five times.
 FAR = 10 * np.pi
+# rad/s or m/s (RMS) that no joint of a robot reaches: readings of 4096 a turn that are taken for
+# radians do so at half a radian per second.
+FASTEST = 300.0
 # Joints that move both ways, this many times each, of which so many never have a negative effort.
 FEWEST_REVERSING, FEWEST_UNSIGNED = 10, 4
 # Efforts of a moving joint with a smaller signal-to-noise ratio are noise: 6 % of their power is
@@ -55,10 +58,13 @@ class JointCheck:
     topic : str
     names : tuple of str
         J joints.
+    is_arrays : bool
+        Whether the readings are arrays of a user instead of messages.
     """
 
     topic: str
     names: tuple[str, ...]
+    is_arrays: bool = False
     _both: FloatArray = field(init=False)
     _low: FloatArray = field(init=False)
     _high: FloatArray = field(init=False)
@@ -70,6 +76,7 @@ class JointCheck:
     _has_effort: BoolArray = field(init=False)
     _is_negative: BoolArray = field(init=False)
     _moved: IntArray = field(init=False)  # number of spans with motion down and up
+    _speeds: FloatArray = field(init=False)  # number of spans, and squares of their mean velocity
     # Number of efforts, their squares, and the squares of their second differences.
     _efforts: FloatArray = field(init=False)
 
@@ -83,6 +90,7 @@ class JointCheck:
         self._has_effort = np.zeros(joints, dtype=bool)
         self._is_negative = np.zeros(joints, dtype=bool)
         self._moved = np.zeros((2, joints), dtype=np.int64)
+        self._speeds = np.zeros((2, joints))
         self._efforts = np.zeros((3, joints))
         self._is_converted = np.zeros(joints, dtype=bool)
 
@@ -120,6 +128,7 @@ class JointCheck:
             np.count_nonzero(change < -SLOWEST, axis=0),
             np.count_nonzero(change > SLOWEST, axis=0),
         ]
+        self._speeds += [np.isfinite(change).sum(axis=0), np.nansum(change**2, axis=0)]
         # Intervals without a velocity are not compared.
         known = np.isfinite(velocity) & np.isfinite(change)
         change, velocity = np.where(known, change, 0.0), np.where(known, velocity, 0.0)
@@ -156,7 +165,9 @@ class JointCheck:
 
     def findings(self, model: RobotModel | None) -> list[Finding]:
         """Return the findings about positions, velocities and efforts."""
-        found = self._degree_findings(model) if model is not None else []
+        found = self._count_findings(model)
+        if not found and model is not None:
+            found = self._degree_findings(model)
         return [*self._missing_value_findings(model), *(found or self._velocity_findings())]
 
     def _missing_value_findings(self, model: RobotModel | None) -> list[Finding]:
@@ -193,8 +204,8 @@ class JointCheck:
                         self.topic,
                         Kind.MISSING_JOINT,
                         f"the effort of {self._list_names(places)} is "
-                        f"{'always zero' if is_zero else 'in no message'}, {rows} of the equation "
-                        "of motion cannot be used; let the driver fill JointState.effort",
+                        f"{'always zero' if is_zero else f'in no {self._kind}'}, {rows} of the "
+                        f"equation of motion cannot be used; {self._remedy('effort')}",
                         {"joints": len(places)},
                         Severity.UNUSABLE if is_fatal else Severity.WARNING,
                     )
@@ -252,11 +263,20 @@ class JointCheck:
         yield Finding.of(
             self.topic,
             Kind.MISSING_JOINT,
-            f"{'' if len(places) == 1 else 'up to '}{most} of {self._messages} messages have no "
-            f"{kind} of {self._list_names(places)}; let the driver fill JointState.{kind}",
+            f"{'' if len(places) == 1 else 'up to '}{most} of {self._messages} {self._kind}s have "
+            f"no {kind} of {self._list_names(places)}; {self._remedy(kind)}",
             {"messages": most, "share": most / self._messages},
             severity,
         )
+
+    @property
+    def _kind(self) -> str:
+        return "row" if self.is_arrays else "message"
+
+    def _remedy(self, quantity: str) -> str:
+        if self.is_arrays:
+            return f"give the {quantity} of every joint in each row"
+        return f"let the driver fill JointState.{quantity}"
 
     def _velocity_findings(self) -> list[Finding]:
         change, product, velocity = self._both / max(self._count, 1)
@@ -323,17 +343,50 @@ class JointCheck:
             return False
         return not CLOCK_SCALES[0] < float(np.median(scales)) < CLOCK_SCALES[1]
 
-    def _degree_findings(self, model: RobotModel) -> list[Finding]:
-        """Return a finding if positions are within the limits only when read as degrees."""
-        checked, reached, hinges = 0, list[float](), list[str]()
+    def _count_findings(self, model: RobotModel | None) -> list[Finding]:
+        """Return a finding if positions are too fast or too far for radians and for degrees."""
+        count, squares = self._speeds
+        speed = np.sqrt(squares / np.maximum(count, 1))
+        is_far, checked = np.zeros(len(self.names), dtype=bool), 0
+        for index, joint in self._limited_hinges(model):
+            low, high = self._low[index] / DEGREES, self._high[index] / DEGREES
+            is_far[index] = min(low - joint.lower, joint.upper - high) < -LIMIT_MARGIN
+            checked += 1
+        # One joint may turn many times, or have wrong limits.
+        if 2 * np.count_nonzero(is_far) < checked or (checked > 1 and is_far.sum() == 1):
+            is_far[:] = False
+        places = np.flatnonzero(is_far | (speed > FASTEST)).tolist()
+        if not places:
+            return []
+        largest = float(np.max(np.maximum(np.abs(self._low), np.abs(self._high))[places]))
+        return [
+            Finding.of(
+                self.topic,
+                Kind.UNIT,
+                f"positions of {self._list_names(places)} reach {largest:.3g} and change by up to "
+                f"{float(speed[places].max()):.3g} per second (RMS), as if in encoder counts; give "
+                "rad (m), or the factor to it as `position_scale` JOINT:=FACTOR",
+                {"largest": largest} | {f"{self.names[i]}/speed": float(speed[i]) for i in places},
+            )
+        ]
+
+    def _limited_hinges(self, model: RobotModel | None) -> Iterator[tuple[int, Joint]]:
+        """Yield the column and joint of each revolute joint with limits and readings."""
         for index, name in enumerate(self.names):
-            if name not in model.joint_names or self._low[index] > self._high[index]:
+            if (
+                model is None
+                or name not in model.joint_names
+                or self._low[index] > self._high[index]
+            ):
                 continue
             joint = model.joints[model.joint_names.index(name)]
-            if joint.kind == "revolute":
-                hinges.append(name)
-            if joint.kind != "revolute" or not np.isfinite(joint.upper - joint.lower):
-                continue
+            if joint.kind == "revolute" and np.isfinite(joint.upper - joint.lower):
+                yield index, joint
+
+    def _degree_findings(self, model: RobotModel) -> list[Finding]:
+        """Return a finding if positions are within the limits only when read as degrees."""
+        checked, reached = 0, list[float]()
+        for index, joint in self._limited_hinges(model):
             low, high = float(self._low[index]), float(self._high[index])
             checked += 1
             if min(low / DEGREES - joint.lower, joint.upper - high / DEGREES) < -LIMIT_MARGIN:
@@ -346,6 +399,12 @@ class JointCheck:
         is_alone = outside == 1 < checked
         if not outside or is_alone or 2 * outside < checked or largest <= least:
             return []
+        kinds = {joint.name: joint.kind for joint in model.joints}
+        hinges = [
+            name
+            for name, low, high in zip(self.names, self._low, self._high, strict=True)
+            if kinds.get(name) == "revolute" and low <= high
+        ]
         joints = (
             "1 joint leave its limits" if outside == 1 else f"{outside} joints leave their limits"
         )

@@ -13,7 +13,7 @@ from symbid_ros.diagnosis.timing import TimingCheck
 from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
-from symbid_ros.signals.alignment import contact_flag_faults, wrist_sensor_faults
+from symbid_ros.signals.alignment import contact_flag_faults, missing_imu, wrist_sensor_faults
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
 from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
 
@@ -74,7 +74,9 @@ class StreamChecks:
             if imu.topic not in differentiated:
                 self._imu_checks.setdefault(imu.topic, ImuCheck(imu.topic)).add(imu)
         if self._joint_check is None:
-            self._joint_check = JointCheck(streams.joints.topic, streams.joints.names)
+            self._joint_check = JointCheck(
+                streams.joints.topic, streams.joints.names, streams.is_arrays
+            )
         self._joint_check.add(streams.joints, during)
         topic = streams.joints.topic
         self._jitter_checks.setdefault(topic, JitterCheck(topic)).add(streams.joints, during)
@@ -197,16 +199,9 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
         Finding(Kind.UNKNOWN_FRAME, "", Severity.UNUSABLE, f"{streams.source}: {fault}")
         for fault in (*wrist_sensor_faults(streams, model), *contact_flag_faults(streams, model))
     ]
-    if model.floating and not streams.imus:
-        found.append(
-            Finding(
-                Kind.SILENT,
-                "",
-                Severity.UNUSABLE,
-                f"{streams.source}: the base of {model.source} floats, but no topic is of type "
-                "sensor_msgs/msg/Imu; record the IMU, or set `base` to fixed if it is bolted down",
-            )
-        )
+    if fault := missing_imu(streams, model):
+        text = f"{streams.source}: {fault}"
+        found.append(Finding(Kind.SILENT, "", Severity.UNUSABLE, text))
     return found
 
 

@@ -1,7 +1,9 @@
 """prior.json: the file of a prior, written and read."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,27 +50,28 @@ def write_prior(path: Path, prior: Prior) -> None:
     write_text(path, json.dumps(versioned("prior", document), indent=1) + "\n")
 
 
-def load_prior(path: Path, parameters: ParameterSet) -> Prior:
-    """Read prior.json and check that it belongs to the model.
+def load_prior(source: Path | Mapping[str, Any], parameters: ParameterSet) -> Prior:
+    """Read prior.json, or a mapping with what it holds, and check that it belongs to the model.
 
-    The file may contain more or fewer joint terms than ``parameters``. Terms not in use are
-    marginalised, and missing terms are those of :func:`model_prior`.
+    A mapping needs the key ``parameters`` alone. There may be more or fewer joint terms than those
+    of ``parameters``. Terms not in use are marginalised, and missing terms are those of
+    :func:`model_prior`.
 
     Raises
     ------
     PriorError
         When the file is missing or malformed, belongs to another model or is not a distribution.
     """
-    try:
-        document = load_json(path)
-    except OSError as error:
+    if isinstance(source, Path):
+        path, document = str(source), _read(source)
+    elif not isinstance(source, Mapping):
         raise PriorError(
-            f"{path}: cannot read it ({error.strerror}); check the path", "E401"
-        ) from None
-    except ValueError as error:
-        raise PriorError(
-            f"{path}: not a prior.json ({error}); write one with `symbid prior`", "E402"
-        ) from None
+            f"prior is a {type(source).__name__}; give the path of a prior.json, or a mapping",
+            "E402",
+        )
+    else:
+        path = "prior"
+        document = {"model": parameters.model.name, "kind": "given", "seed": None, **source}
     try:
         model, entries = document["model"], document["parameters"]
         values = {name: (float(e["value"]), float(e["std"])) for name, e in entries.items()}
@@ -90,7 +93,20 @@ def load_prior(path: Path, parameters: ParameterSet) -> Prior:
         raise PriorError(f"{path}: {error}", error.code) from None
 
 
-def _check_size(path: Path, values: dict[str, tuple[float, float]]) -> None:
+def _read(path: Path) -> Any:
+    try:
+        return load_json(path)
+    except OSError as error:
+        raise PriorError(
+            f"{path}: cannot read it ({error.strerror}); check the path", "E401"
+        ) from None
+    except ValueError as error:
+        raise PriorError(
+            f"{path}: not a prior.json ({error}); write one with `symbid prior`", "E402"
+        ) from None
+
+
+def _check_size(path: str, values: dict[str, tuple[float, float]]) -> None:
     """Reject values outside a robot's range, whose squares would overflow or underflow."""
     for name, (value, std) in values.items():
         if abs(value) > LARGEST:
@@ -112,7 +128,7 @@ def _check_size(path: Path, values: dict[str, tuple[float, float]]) -> None:
 
 
 def _check_belongs(
-    path: Path, model: str, values: dict[str, tuple[float, float]], parameters: ParameterSet
+    path: str, model: str, values: dict[str, tuple[float, float]], parameters: ParameterSet
 ) -> None:
     robot = parameters.model
     inertial = parameters.names[: parameters.inertial]

@@ -147,6 +147,8 @@ def option_values(options: Any) -> dict[str, Any]:
 def _json_value(value: Any) -> Any:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [_json_value(one) for one in value]
+    if isinstance(value, Mapping):  # a prior
+        return {str(name): _json_value(one) for name, one in value.items()}
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float) and math.isfinite(value):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from symbid_ros.diagnosis.findings import Diagnosis, Kind
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.errors import DataError, OptionError
+from symbid_ros.errors import DataError
 from symbid_ros.identification.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
 from symbid_ros.identification.contacts import with_robot_options
@@ -31,10 +31,9 @@ from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.load import as_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.options import chosen_options
 from symbid_ros.signals.given_arrays import number_array
-from symbid_ros.signals.log import Log
-
-T = TypeVar("T", bound=RobotOptions)
+from symbid_ros.signals.log import Log, require_log
 
 
 @on_one_blas_thread
@@ -56,17 +55,31 @@ def identify(
         Options of the identification.
     **fields
         Fields of :class:`symbid_ros.IdentifyOptions` instead, such as ``prior_percent=25``.
+        ``prior`` may also be a mapping with what a ``prior.json`` holds: ``{"parameters":
+        {"LINK/m": {"value": 2.3, "std": 0.2}, …}}`` with all ten parameters of each link.
+
+    Returns
+    -------
+    Result
+        The identified robot, in SI units: parameters with standard deviations, links, alarms, and
+        the information to be merged with that of other logs.
 
     Raises
     ------
-    SymbidError
-        When the log is unusable, does not match the robot, or an option is invalid.
+    BagError
+        When a bag is missing or damaged, or lacks a topic.
+    ModelError
+        When a joint or frame of the log is not in the model, or the model has no mass.
+    DataError
+        When the log is unusable, such as too short, without efforts or in wrong units.
+    PriorError
+        When the prior is of another model.
+    EstimateError, OptionError
+        When nothing can be estimated, or an option is invalid.
     """
-    if options is not None and fields:
-        raise OptionError("give either options or single fields, not both", "E502")
-    options = options or _options(IdentifyOptions, fields)
+    options = chosen_options(IdentifyOptions, options, fields)
     robot = as_model(robot)
-    _require_log(log, (Log, LogInformation))
+    require_log(log, LogInformation)
     if isinstance(log, LogInformation):
         problem = load_information(robot, log.observations, options)
         found = problem.with_provenance(problem.solve())
@@ -97,10 +110,27 @@ def diagnose(
         Mounting, wrist sensors and contacts, as of an identification.
     **fields
         These options by name instead, such as ``wrist_sensor=("tool0",)``.
+
+    Returns
+    -------
+    Diagnosis
+        Its ``findings`` say what is wrong, how severe that is and what to do; faults of the log are
+        findings, not errors.
+
+    Raises
+    ------
+    BagError
+        When a bag is missing, or lacks a topic.
+    ModelError
+        When the model file is invalid.
+    DataError
+        When ``log`` is not a log.
+    OptionError
+        When an option is invalid.
     """
-    options = options or _options(RobotOptions, fields)
+    options = chosen_options(RobotOptions, options, fields)
     robot = None if robot is None else as_model(robot)
-    _require_log(log, (Log,))
+    require_log(log)
     if robot is None:
         return doctor.diagnose(log)
     log = log.of_robot(robot)
@@ -134,15 +164,30 @@ def diagnose(
 def merge(records: Sequence[LogInformation]) -> LogInformation:
     """Add up the information of several logs of one robot.
 
+    Parameters
+    ----------
+    records : sequence of LogInformation
+        :attr:`Result.information` of each log, or what :meth:`LogInformation.load` read.
+
+    Returns
+    -------
+    LogInformation
+        The sum, which :func:`identify` takes in place of a log.
+
     Raises
     ------
     EstimateError
         When the records differ in robot, parameters or windows, or share seconds of a log.
+    DataError
+        When there is no record, or one is something else.
     """
     if isinstance(records, LogInformation) or any(
         not isinstance(one, LogInformation) for one in records
     ):
-        raise TypeError("merge takes a list of LogInformation, as Result.information is")
+        raise DataError(
+            "merge takes a list of LogInformation, such as Result.information of several logs",
+            "E511",
+        )
     if not records:
         raise DataError("merge: no records; give the information of at least one log", "E510")
     return reduce(LogInformation.merged, records)
@@ -226,22 +271,3 @@ def regressor(
     )
     terms = () if options is None or options.chooses_terms else options.terms
     return equation_of_motion(ParameterSet(robot, terms), samples).K
-
-
-def _require_log(log: object, kinds: tuple[type, ...]) -> None:
-    if not isinstance(log, kinds):
-        names = " or a ".join(kind.__name__ for kind in kinds)
-        raise TypeError(
-            f"log must be a {names} (see symbid_ros.load_bag and symbid_ros.Log.from_arrays), not "
-            f"{type(log).__name__}"
-        )
-
-
-def _options(kind: type[T], fields: dict[str, Any]) -> T:
-    try:
-        return kind(**fields)
-    except TypeError as error:
-        name = str(error).rpartition("'")[0].rpartition("'")[2]
-        raise OptionError(
-            f"{name!r} is not an option; see symbid_ros.{kind.__name__}", "E501"
-        ) from None

@@ -10,7 +10,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray
 from symbid_ros.errors import SymbidError
-from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS
+from symbid_ros.estimation.alarms import SUSPICIOUS_SCALE, SUSPICIOUS_WHITENESS
 from symbid_ros.estimation.group_moments import BY_SECONDS, Grouping
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
@@ -50,6 +50,19 @@ def leaves_residuals(solver: Solver) -> bool:
     if choice is None or not choice.measured.any():
         return False
     return solver.whiteness >= SUSPICIOUS_WHITENESS
+
+
+def with_plausible_prior(solver: Solver) -> Solver:
+    """Return a solver in whose residuals further terms and errors can be searched for.
+
+    If the data contradict a stated prior, its residuals are those of wrong links, which a ripple or
+    a spring would resemble. The data set the scale of the prior then.
+    """
+    problem = solver.problem
+    is_contradicted = solver.posterior.prior_scale > SUSPICIOUS_SCALE
+    if problem.is_empirical or problem.calibrated_rows is not None or not is_contradicted:
+        return solver
+    return Solver.of(replace(problem, is_empirical=True))
 
 
 def training_part(solver: Solver, dataset: Dataset) -> Iterable[Segment]:

@@ -13,7 +13,7 @@ import numpy as np
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.identification.calibration import POINT_CONVERGED, compliance_std
-from symbid_ros.identification.candidate_trial import training_part
+from symbid_ros.identification.candidate_trial import training_part, with_plausible_prior
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.solver import Solver
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
@@ -46,6 +46,7 @@ def shows_compliance(solver: Solver, dataset: Dataset) -> bool:
     training = list(training_part(solver, dataset))
     if not training:
         return False
+    solver = with_plausible_prior(solver)
     count, prior = len(parameters), solver.posterior.prior
     errors = SensorErrors.of((COMPLIANCE,), model, training[0].wrench_frames, ())
     nothing = np.zeros(len(errors))

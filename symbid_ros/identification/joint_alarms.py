@@ -1,6 +1,6 @@
 """Alarms about joints whose efforts the estimate does not predict, or whose signs are wrong."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.unexplained import force_text
 from symbid_ros.identification.joint_readings import find_readings
 from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.resting_joints import resting_alarm, resting_joints
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
@@ -21,11 +22,14 @@ ALL, FEWEST_ROWS, NOISE = 0.9, 20, 0.1
 OPPOSED = -0.3
 
 
-def with_joint_alarms(problem: LoadedProblem, found: Identification) -> Identification:
+def with_joint_alarms(
+    problem: LoadedProblem, found: Identification, resting: Sequence[str]
+) -> Identification:
     """Return an identification with alarms about single joints.
 
-    They are about joints of a fixed base that move and whose effort is not predicted at all. If
-    there is any alarm, the log is searched for joints that it exchanges or reverses.
+    They are about joints of a fixed base that move and whose effort is not predicted at all, and
+    about those ``resting`` ones whose effort is not predicted. If there is any alarm, the log is
+    searched for joints that it exchanges or reverses.
     """
     if found.estimate.verdict is None:
         return found
@@ -34,17 +38,19 @@ def with_joint_alarms(problem: LoadedProblem, found: Identification) -> Identifi
         return found
     alarms, named = [*found.alarms], set[str]()
     unpredicted = _unpredicted(problem, found)
-    if (alarms or unpredicted) and not problem.options.drive_gains:
+    if (alarms or unpredicted or resting) and not problem.options.drive_gains:
         readings = find_readings(tuple(problem.dataset.segments), model)
         if readings is not None:
             alarms.append(readings.alarm)
             named = {*readings.exchanged, *readings.reversed_joints}
+    if at_rest := [name for name in resting if name not in named]:
+        alarms.append(resting_alarm(at_rest))
     alarms += [alarm for name, alarm in unpredicted.items() if name not in named]
     return found.with_alarms(tuple(alarms))
 
 
 def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str]:
-    """Return an alarm for each joint whose effort is not predicted."""
+    """Return an alarm for each joint that moves and whose effort is not predicted."""
     solved, rows = problem.solver.problem, problem.solver.chosen
     model = solved.parameters.model
     counts = rows.counts.diagonal()
@@ -60,10 +66,11 @@ def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str
     if not doubted:
         return {}
     efforts = _Efforts.of(problem.dataset.segments, model)
+    is_resting = resting_joints(problem.dataset.segments, model)
     alarms = {}
     for name, size in doubted.items():
         index = model.joint_names.index(name)
-        if efforts.noise_share(index, rows.window) > NOISE:
+        if is_resting[index] or efforts.noise_share(index, rows.window) > NOISE:
             continue
         unit = "Nm" if model.joints[index].kind == "revolute" else "N"
         cause = (

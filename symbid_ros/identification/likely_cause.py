@@ -5,7 +5,7 @@ that no option models, and sensor errors, linearised about the estimate. The one
 predict blocks of the log that were left out is named, with the force that would remain.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,7 @@ WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of
 WRONG_EFFORTS = (
     "the factors of the efforts that another alarm names may explain it; correct these first"
 )
+FROZEN = "a joint at rest that another alarm names may explain it; check that first"
 EFFECTS = {
     "viscous": "viscous friction",
     "warming": "viscous friction that changes during the log",
@@ -101,13 +102,15 @@ class Cause:
         return WARM if self.kind == "warming" else NO_OPTION
 
 
-def explained(problem: LoadedProblem, found: Identification) -> Identification:
+def explained(
+    problem: LoadedProblem, found: Identification, resting: Sequence[str]
+) -> Identification:
     """Return an identification whose alarms name their likely cause.
 
     Joints that the log lacks are named beside any alarm; other causes are tried for correlated
-    residuals.
+    residuals, unless the efforts of ``resting`` joints are not predicted.
     """
-    found = _with_tried_causes(problem, found)
+    found = _with_tried_causes(problem, found, resting)
     if not found.alarms:
         return found
     model = problem.solver.problem.parameters.model
@@ -134,7 +137,9 @@ def held_joints(names: tuple[str, ...], segments: Iterable[Segment]) -> list[str
     return [] if first is None else [names[index] for index in np.flatnonzero(is_held)]
 
 
-def _with_tried_causes(problem: LoadedProblem, found: Identification) -> Identification:
+def _with_tried_causes(
+    problem: LoadedProblem, found: Identification, resting: Sequence[str]
+) -> Identification:
     """Return an identification whose alarm of correlated residuals names their likely cause."""
     verdict = found.estimate.verdict
     if verdict is None or not verdict.is_coloured or not verdict.unexplained:
@@ -142,6 +147,8 @@ def _with_tried_causes(problem: LoadedProblem, found: Identification) -> Identif
     worst = verdict.unexplained[0]
     if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
         return _with_cause(found, "", WRONG_EFFORTS)
+    if resting:
+        return _with_cause(found, "", FROZEN)
     try:
         rows = CandidateRows.of(problem, found)
     except SymbidError:

@@ -113,8 +113,8 @@ def require_rows(dataset: Dataset, model: RobotModel) -> None:
             "with neither efforts nor wrenches not even the robot's mass can be known"
         )
     raise DataError(
-        f"{dataset.source}: no row of the equation of motion is usable: {why}; let the driver fill "
-        "JointState.effort, or record the wrenches of all contacts",
+        f"{dataset.source}: no row of the equation of motion is usable: {why}; record the efforts "
+        "of the joints (JointState.effort), or the wrenches of all contacts",
         "E326",
     )
 

@@ -1,10 +1,11 @@
 """Options of one identification, the same for the Python API, the command and the node."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from symbid_ros.choices import (
     GAUSSIAN,
@@ -31,8 +32,11 @@ if TYPE_CHECKING:
     Source = Path | Log
     # Payload of the whole log, or of a further log: "BAG:LINK,MASS,X,Y,Z" or (Log, "LINK,...").
     PayloadSource = str | tuple[Log, str]
+    # Path of a prior.json, or what it holds.
+    PriorSource = Path | Mapping[str, Any]
 else:
     Source, PayloadSource = Path, str  # the help of a command does not load NumPy
+    PriorSource = Path
 
 logger = logging.getLogger(__name__)
 
@@ -69,7 +73,7 @@ class IdentifyOptions(RobotOptions):
         "columns (c) scaled.",
         metavar="METHOD",
     )
-    prior: Path | None = option(
+    prior: PriorSource | None = option(
         None,
         "Prior file (prior.json).",
         group=KNOWN,
@@ -464,7 +468,7 @@ class IdentifyOptions(RobotOptions):
         """Input files other than the log and the model."""
         logs = [
             *(log for log, _ in self.loaded_logs),
-            self.prior,
+            self.prior if isinstance(self.prior, Path) else None,
             *self.tare,
             self.information,
             self.choose_truncation,

@@ -20,6 +20,7 @@ from symbid_ros.identification.report_series import (
     force_series,
     report_data,
 )
+from symbid_ros.identification.resting_joints import unpredicted_at_rest
 from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import validate_segments
 from symbid_ros.progress import report
@@ -81,7 +82,10 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
         if wrong is not None:
             alarm = wrong.alarm
             problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
-    found = problem.with_provenance(with_joint_alarms(problem, explained(problem, found)))
+    residual = found.estimate.residual_rmse
+    resting = unpredicted_at_rest(problem.solver, problem.dataset.segments, residual)
+    found = with_joint_alarms(problem, explained(problem, found, resting), resting)
+    found = problem.with_provenance(found)
     of_end = () if alarm is None else (alarm,)
     found = found.with_alarms((*found.alarms, *wrist_sensor_alarms(problem), *of_end))
     if forces is None:

@@ -52,7 +52,7 @@ class FoundDegrees:
         return (
             f"positions change by up to {self.travel:.3g}, and the efforts say that this is in "
             f"degrees, which leave {100 * self.after:.2g} % of them unexplained, radians "
-            f"{100 * self.before:.2g} %; publish rad and rad/s, or write "
+            f"{100 * self.before:.2g} %; use rad and rad/s, or write "
             f"{position_line(self.joints)}"
         )
 

@@ -28,7 +28,7 @@ from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import without_wrist_sensors
-from symbid_ros.signals.log import Log
+from symbid_ros.signals.log import Log, require_log
 
 if TYPE_CHECKING:
     import pandas
@@ -266,11 +266,24 @@ class Result:
     def predict(self, log: Log) -> ForcePrediction:
         """Predict the generalised forces of a log from its motion.
 
+        Parameters
+        ----------
+        log : Log
+            Of this robot, from :func:`symbid_ros.load_bag` or :meth:`symbid_ros.Log.from_arrays`.
+
+        Returns
+        -------
+        ForcePrediction
+            Measured and predicted forces (N, n), Nm or N, in the N windows of the log.
+
         Raises
         ------
         BagError, DataError, ModelError
             When the log is invalid or of another robot.
+        EstimateError
+            When the log is too short for a window.
         """
+        require_log(log)
         parts = list(self._rows(log))
         if not parts:
             raise EstimateError(
@@ -294,6 +307,11 @@ class Result:
     def to_frame(self) -> "pandas.DataFrame":
         """Return the parameters as a table, one row each, indexed by name.
 
+        Returns
+        -------
+        pandas.DataFrame
+            Columns ``unit``, ``value``, ``std``, ``prior`` and ``is_determined``.
+
         Raises
         ------
         EstimateError
@@ -311,8 +329,18 @@ class Result:
     def save(self, folder: str | Path, *, kinematics: bool = False) -> Path:
         """Write estimate.json, information.npz, report_data.npz, model.urdf and model.xml.
 
-        With ``kinematics`` also calibrated.urdf and calibrated.xml, in which joints have the
-        placements that ``sensor_errors`` link_length and joint_axis found.
+        Parameters
+        ----------
+        folder : str or Path
+            New folder, or that of an earlier result.
+        kinematics : bool
+            Whether to write calibrated.urdf and calibrated.xml as well, in which joints have the
+            placements that ``sensor_errors`` link_length and joint_axis found.
+
+        Returns
+        -------
+        Path
+            The folder.
 
         Raises
         ------

@@ -15,6 +15,7 @@ from symbid_ros.identification.calibration import (
     with_fixed_gains,
     without_terms,
 )
+from symbid_ros.identification.candidate_trial import with_plausible_prior
 from symbid_ros.identification.couplings import find_couplings
 from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
 from symbid_ros.identification.drive_gains import (
@@ -131,8 +132,10 @@ class SolverSetup:
         Further terms are searched for in its residuals.
         """
         build, options = solver.problem.calibrated_rows, self.options
-        if build is None or not options.searches:
+        if not options.searches:
             return solver, dataset
+        if build is None:
+            return with_plausible_prior(solver), dataset
         if build.errors.gained:
             factors = np.ones(len(parameters.model.joints))
             factors[build.errors.gained_joints] = build.errors.of_kind(

@@ -11,6 +11,7 @@ from symbid_ros.choices import SPRING
 from symbid_ros.estimation.term_evidence import predictive_effects, spring_torques
 from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
 from symbid_ros.identification.dataset import Dataset
+from symbid_ros.identification.resting_joints import resting_joints
 from symbid_ros.identification.solver import Solver
 
 logger = logging.getLogger(__name__)
@@ -34,7 +35,14 @@ def shows_springs(solver: Solver, dataset: Dataset) -> bool:
     trial = try_columns(solver, training, dataset.source, parameters, slips=choice.slips)
     if trial is None:
         return False
-    joints = predictive_effects(trial.found, trial.chosen, spring_torques(parameters), trial.free)
+    # Where a joint rests, a spring is a constant torque, and noise of the encoder bends it.
+    is_resting = resting_joints(dataset.segments, parameters.model)
+    springs = {
+        joint: effect
+        for joint, effect in spring_torques(parameters).items()
+        if not is_resting[joint]
+    }
+    joints = predictive_effects(trial.found, trial.chosen, springs, trial.free)
     if not joints:
         return False
     named = (parameters.model.joint_names[joint] for joint in sorted(joints))

@@ -10,6 +10,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.blas_threads import on_one_blas_thread
+from symbid_ros.errors import DataError
 from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.error_changes import (
     ALL_JOINTS,
@@ -30,7 +31,7 @@ from symbid_ros.identification.force_errors import (
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result import Result
 from symbid_ros.json_documents import versioned
-from symbid_ros.signals.log import Log
+from symbid_ros.signals.log import Log, require_log
 from symbid_ros.signals.segments import Segment
 
 Advice = Literal["better", "equal", "worse", "mixed", "unfit"]
@@ -304,10 +305,18 @@ def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = 
         Payloads that the robot carries in it: ``LINK,MASS,X,Y,Z``, or ``LINK,MASS`` if the result
         has identified the place.
 
+    Returns
+    -------
+    Validation
+        Errors of the original and of the identified model (Nm or N, and percent of what was
+        measured), and a verdict.
+
     Raises
     ------
-    SymbidError
-        When a file of the result, or the log, is invalid or belongs to another robot.
+    BagError, DataError, ModelError
+        When the log is invalid or of another robot.
+    EstimateError
+        When a file of the result is missing or invalid.
     """
     predictor = predictor_of(result, log, payload)
     return validate_segments(predictor, AlignedLog(log, predictor.parameters.model), log.source)
@@ -322,10 +331,17 @@ def validate_segments(
 
 def predictor_of(result: Result | str | Path, log: Log, payload: Sequence[str]) -> ForcePredictor:
     """Return what predicts the forces of a log with payloads; see :func:`validate`."""
+    require_log(log)
     if isinstance(result, Result):
         predictor = result.predictor
-    else:
+    elif isinstance(result, str | Path):
         predictor = ForcePredictor.load(Path(result))
+    else:
+        raise DataError(
+            "result must be a Result (see symbid_ros.identify) or the folder of a saved one, not "
+            f"{type(result).__name__}",
+            "E511",
+        )
     return predictor.with_frames_of(log).carrying(payload)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.choices import BASES, Base
-from symbid_ros.errors import ModelError, OptionError
+from symbid_ros.errors import DataError, ModelError, OptionError
 from symbid_ros.model.inertia import ball_density
 from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.mjcf_source import read_mjcf
@@ -32,7 +32,13 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
         ``.urdf`` or ``.xml`` file.
     base : {"auto", "floating", "fixed"}
         Whether the base may move. An MJCF says so by a free joint, which "floating" and
-        "fixed" must match.
+        "fixed" must match. "auto" takes the base of a URDF as floating unless a fixed joint
+        carries it on a massless root ``world``.
+
+    Returns
+    -------
+    RobotModel
+        Joints, links and frames; masses in kg, lengths in m, angles in rad.
 
     Raises
     ------
@@ -61,9 +67,10 @@ def as_model(robot: RobotModel | str | Path) -> RobotModel:
         return robot
     if isinstance(robot, str | Path):
         return load_model(robot)
-    raise TypeError(
+    raise DataError(
         "robot must be a RobotModel (see symbid_ros.load_model) or the path of its file, not "
-        f"{type(robot).__name__}"
+        f"{type(robot).__name__}",
+        "E511",
     )
 
 

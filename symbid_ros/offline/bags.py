@@ -26,7 +26,7 @@ from symbid_ros.messages.types import IMU, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.load import as_model, is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
-from symbid_ros.options import robot_file_line
+from symbid_ros.options import chosen_options, robot_file_line
 from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import TimeRange
@@ -54,13 +54,23 @@ def load_bag(
     **fields
         Fields of :class:`symbid_ros.LogOptions` instead, such as ``start=2.0``.
 
+    Returns
+    -------
+    Log
+        To be identified, diagnosed, validated or predicted; its bags are read then.
+
     Raises
     ------
+    BagError
+        When a bag of a floating robot is missing. Other errors of bags are raised where the log is
+        used.
+    ModelError
+        When the model file is invalid.
     OptionError
         When an option is invalid.
     """
     paths = [Path(one) for one in ([bags] if isinstance(bags, str | Path) else bags)]
-    options = options or LogOptions(**fields)
+    options = chosen_options(LogOptions, options, fields)
     if robot is None:
         return open_bags(paths, None, options)
     robot = as_model(robot)
@@ -280,6 +290,11 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
     result : Result
     bags : str, Path or sequence of these
         Simulated bag with ground truth, preferably of another motion than the identified log.
+
+    Returns
+    -------
+    Metrics
+        Errors of the identified robot, in SI units and percent.
 
     Raises
     ------

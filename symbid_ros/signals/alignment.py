@@ -30,6 +30,12 @@ logger = logging.getLogger(__name__)
 LONGEST_GAP = 5.5
 SHORTEST_SEGMENT = 50
 
+# What to do if each row of arrays holds the readings of one joint, as joined logs of drives do.
+COMPLETE_ROWS = (
+    "each row needs the readings of all joints at its time: interpolate each joint's readings to "
+    "the times of one joint first (scipy.interpolate.CubicSpline)"
+)
+
 # Time, ns, by which a contact may open earlier or close later than its flag says: a Bool has no
 # stamp. Treating a contact as closed is right at any time.
 FLAG_MARGIN = 40_000_000
@@ -69,11 +75,10 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     """
     for stream in streams.all:
         if not len(stream.stamp):
-            raise DataError(
-                f"{streams.source}: {stream.topic} has no usable message; check its driver, or "
-                "leave the topic out",
-                "E301",
-            )
+            what = "message; check its driver, or leave the topic out"
+            if streams.is_arrays:
+                what = "row in the part that is used; correct its values, or leave it out"
+            raise DataError(f"{streams.source}: {stream.topic} has no usable {what}", "E301")
     joints, efforts = _joint_channel(streams, model)
     channels = [joints, *map(_imu_channel, streams.imus), *map(_wrench_channel, streams.wrenches)]
     period = _period(joints, streams)
@@ -81,8 +86,9 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     stop = min(int(channel.stamp[-1]) for channel in channels)
     if stop <= start:
         topics = ", ".join(channel.topic for channel in channels)
+        kind = "arrays" if streams.is_arrays else "topics"
         raise DataError(
-            f"{streams.source}: the topics {topics} have no time in common; check their clocks and "
+            f"{streams.source}: the {kind} {topics} have no time in common; check their clocks and "
             "stamps",
             "E302",
         )
@@ -98,9 +104,10 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
         )
     if not segments:
         action = "check the drivers for gaps" if streams.is_live else "record longer"
+        where = "in every array" if streams.is_arrays else "on every topic"
         raise DataError(
-            f"{streams.source}: there are no {SHORTEST_SEGMENT} samples in a row with data on "
-            f"every topic; {action}",
+            f"{streams.source}: there are no {SHORTEST_SEGMENT} samples in a row with data "
+            f"{where}; {action}",
             "E303",
         )
     for segment in segments:
@@ -118,13 +125,8 @@ def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     ModelError
         When a joint or a sensor's frame is not in the model.
     """
-    if model.floating and not streams.imus:
-        raise DataError(
-            f"{streams.source}: the base of {model.source} floats, but there is no topic of type "
-            "sensor_msgs/msg/Imu; record the IMU, name the topic of a measured pose "
-            "(`pose_topic`), or give `base` fixed if it is bolted down",
-            "E307",
-        )
+    if fault := missing_imu(streams, model):
+        raise DataError(f"{streams.source}: {fault}", "E307")
     sensors: list[ImuStream | WrenchStream | PoseStream] = [*streams.wrenches]
     if model.floating:
         sensors = [*streams.imus, *streams.poses, *sensors]
@@ -137,6 +139,25 @@ def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     return align(streams, model)
 
 
+def missing_imu(streams: Streams, model: RobotModel) -> str:
+    """Return that a floating robot lacks an IMU, and the remedy; empty if it has what it needs."""
+    if not model.floating or streams.imus:
+        return ""
+    fault = f"the base of {model.source} floats, but there is no "
+    if streams.is_arrays:
+        fault += (
+            "array of an IMU; give Log.from_arrays imus={FRAME: values} with (N, 6) values of "
+            "angular velocity and specific force, or poses={FRAME: values} with (N, 7) values of "
+            "position and quaternion xyzw, or load the model with"
+        )
+    else:
+        fault += (
+            "topic of type sensor_msgs/msg/Imu; record the IMU, name the topic of a measured pose "
+            "(`pose_topic`), or give"
+        )
+    return f"{fault} `base` fixed if it is bolted down"
+
+
 def wrist_sensor_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
     """Yield what is wrong with each wrist sensor whose frame not exactly one topic has."""
     for frame in model.wrist_sensors:
@@ -144,9 +165,12 @@ def wrist_sensor_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
         if len(topics) == 1:
             continue
         others = sorted({one.frame_id for one in streams.wrenches} - {frame})
-        found = f"{' and '.join(topics)} have" if topics else "no WrenchStamped topic has"
+        nothing = "no array of wrenches" if streams.is_arrays else "no WrenchStamped topic"
+        found = f"{' and '.join(topics)} have" if topics else f"{nothing} has"
         also = f" (others have {', '.join(others)})" if others else ""
         action = "record its topic, or correct `wrist_sensor`"
+        if streams.is_arrays:
+            action = "give Log.from_arrays wrenches={FRAME: values}, or correct `wrist_sensor`"
         if others:
             action += f", or write {robot_file_line('wrist_sensor', *others)}"
         if topics:
@@ -254,7 +278,8 @@ def _period(joints: _Matrix, streams: Streams) -> float:
     if len(joints.stamp) < SHORTEST_SEGMENT:
         action = "publish at a higher rate" if streams.is_live else "record longer"
         raise DataError(
-            f"{streams.source}: {joints.topic} has {len(joints.stamp)} joint states, at least "
+            f"{streams.source}: {joints.topic} has {len(joints.stamp)} "
+            f"{'rows' if streams.is_arrays else 'joint states'}, at least "
             f"{SHORTEST_SEGMENT} are needed; {action}",
             "E303",
         )
@@ -376,10 +401,13 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
     if 0 < 2 * np.count_nonzero(~is_complete) >= len(is_complete):
         row, column = np.argwhere(~is_finite)[0]
         action = "let its driver publish it"
+        if streams.is_arrays:
+            action = COMPLETE_ROWS
         if not streams.is_live:
             action += ", leave out that part of the log (`start`, `stop`)"
+        kind = "rows" if streams.is_arrays else "messages"
         raise DataError(
-            f"{topic}: at least half of the messages have no finite position of a joint, such as "
+            f"{topic}: at least half of the {kind} have no finite position of a joint, such as "
             f"{model.joint_names[column]!r} at {stamp[row] * 1e-9:.3f} s; {action}, or give a "
             "model in which that joint is fixed",
             "E304",
@@ -392,15 +420,21 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
         stamp, position = stamp[is_complete], position[is_complete]
     longest = LONGEST_GAP * float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
     effort = joints.effort[is_complete][:, columns]
+    has_efforts = bool(np.any(np.isfinite(effort) & (effort != 0.0)))
     effort[:, list(model.followers)] = 0.0
     for place in model.wrist_sensors.values():
         effort[:, place] = 0.0  # their readings follow in each segment
-    efforts = measured_efforts(stamp, effort, model, longest, topic)
+    action = (
+        "give efforts in Nm (N)" if streams.is_arrays else "let the driver fill JointState.effort"
+    )
+    efforts = measured_efforts(stamp, effort, model, longest, topic=topic, remedy=action)
     if not model.floating and not efforts.any_row:
+        fault = "no effort of any joint"
+        if has_efforts:
+            fault = f"gaps of more than {int(LONGEST_GAP)} efforts of every joint"
+            action = COMPLETE_ROWS if streams.is_arrays else "let the driver publish all at once"
         raise DataError(
-            f"{topic} has no effort of any joint of {model.source}, whose base is fixed; let the "
-            "driver fill JointState.effort",
-            "E305",
+            f"{topic} has {fault} of {model.source}, whose base is fixed; {action}", "E305"
         )
     return _Matrix(joints.topic, stamp, np.hstack([position, efforts.values])), efforts
 

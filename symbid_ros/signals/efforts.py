@@ -53,7 +53,13 @@ class MeasuredEfforts:
 
 
 def measured_efforts(
-    stamp: IntArray, effort: FloatArray, model: RobotModel, longest_gap: float, topic: str
+    stamp: IntArray,
+    effort: FloatArray,
+    model: RobotModel,
+    longest_gap: float,
+    *,
+    topic: str,
+    remedy: str,
 ) -> MeasuredEfforts:
     """Find out which efforts were measured, and log a warning about the others.
 
@@ -67,8 +73,8 @@ def measured_efforts(
         Tells which joints are driven; the effort of passive joints is zero.
     longest_gap : float
         Longest gap to interpolate, ns.
-    topic : str
-        Log and topic, for warnings.
+    topic, remedy : str
+        Log and topic, and what to do, for warnings.
     """
     number = stamp // SPAN
     starts = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
@@ -85,12 +91,12 @@ def measured_efforts(
             unmeasured = ~_within_gaps(stamp, finite, longest_gap)
             _fill(stamp, column, finite)
             lost[:, index] = np.logical_or.reduceat(unmeasured, starts)
-            _warn(topic, joint.name, "is missing or not finite", lost[:, index])
+            _warn(topic, joint.name, "is missing or not finite", lost[:, index], remedy)
         # Measurements are noisy; exact zeros come from a driver without a sensor.
         is_zero = ~np.logical_or.reduceat(column != 0.0, starts) & ~lost[:, index]
         if is_zero.any():
             lost[:, index] |= is_zero
-            _warn(topic, joint.name, "is always zero", lost[:, index])
+            _warn(topic, joint.name, "is always zero", lost[:, index], remedy)
     return MeasuredEfforts(effort, number[starts], lost)
 
 
@@ -120,15 +126,16 @@ def _fill(stamp: IntArray, column: FloatArray, finite: BoolArray) -> None:
     column[~finite] = spline(inside)
 
 
-def _warn(topic: str, joint: str, what: str, lost: BoolArray) -> None:
+def _warn(topic: str, joint: str, what: str, lost: BoolArray, remedy: str) -> None:
     """Warn that a joint's row is dropped, with the same text for every slice of a log."""
     if not lost.any():
         return
     logger.warning(
         "%s: the effort of joint %s %s%s: its row of the equation of motion is dropped there, all "
-        "other rows are used; let the driver fill JointState.effort",
+        "other rows are used; %s",
         topic,
         joint,
         what,
         "" if lost.all() else " in part of the log",
+        remedy,
     )

@@ -1,6 +1,9 @@
 """Arrays that users give: lists, NumPy arrays, also masked ones, and tables with named columns."""
 
+import warnings
 from collections.abc import Sequence
+from datetime import datetime
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -8,6 +11,10 @@ from numpy.typing import ArrayLike
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
+
+# Times are too coarse if they are rounded to more than this share of their mean step, and to more
+# than this, s, which is finer than any clock that matters here.
+MOST_ROUNDED, LEAST_ROUNDING = 0.5, 1e-6
 
 
 def number_array(what: str, values: ArrayLike, names: Sequence[str] = ()) -> FloatArray:
@@ -19,7 +26,8 @@ def number_array(what: str, values: ArrayLike, names: Sequence[str] = ()) -> Flo
         Name for messages.
     values : array_like
     names : sequence of str
-        Columns of a table are taken by these names, if it has any of them.
+        Names of the columns of a table, which may be in any order. Columns that are numbered, as
+        those of arrays, are in the order of these names.
 
     Raises
     ------
@@ -27,15 +35,27 @@ def number_array(what: str, values: ArrayLike, names: Sequence[str] = ()) -> Flo
         When a table lacks some of the names, or values are not an array of numbers.
     """
     chosen: Any = values
-    given = [one for one in getattr(values, "columns", ()) if isinstance(one, str)]
-    if set(given) & set(names):
-        if missing := [name for name in names if name not in given]:
-            raise DataError(f"{what} has no column {', '.join(missing)}; add it", "E511")
+    columns = list(getattr(values, "columns", ()))
+    if names and not all(isinstance(one, Integral) for one in columns):
+        if missing := [name for name in names if name not in columns]:
+            raise DataError(
+                f"{what} has no column {', '.join(missing)}; its columns are "
+                f"{', '.join(map(str, columns))}; give each the name of its joint, or give an "
+                "array with one column for each joint in order",
+                "E511",
+            )
         chosen = chosen[list(names)]
     try:
-        numbers = np.ma.asarray(chosen, dtype=np.float64)
+        given = np.ma.asarray(chosen)
+        if given.dtype == object and hasattr(chosen, "isna"):
+            # No float has the value of a missing one of pandas.
+            given = np.ma.asarray(chosen.astype(object).where(~chosen.isna(), np.nan))
+        is_number = given.dtype.kind not in "cmM"  # NumPy converts these, too
+        numbers: Any = given.astype(np.float64) if is_number else None
     except (TypeError, ValueError) as error:
         raise DataError(f"{what} is not an array of numbers ({error})", "E511") from None
+    if numbers is None:
+        raise DataError(f"{what} is not an array of numbers: it is of {given.dtype}", "E511")
     return np.asarray(numbers.filled(np.nan))
 
 
@@ -54,15 +74,22 @@ def flag_array(what: str, values: ArrayLike) -> FloatArray:
 
 
 def instants(name: str, time: ArrayLike) -> IntArray:
-    """Return times (N,) as ns: seconds, integer ns, or NumPy's times and durations.
+    """Return times (N,) as ns: seconds, integer ns, or times and durations of NumPy and pandas.
+
+    Times with a time zone are converted to UTC.
 
     Raises
     ------
     DataError
-        When the shape is wrong, or a value is masked, NaN, infinite or not in seconds.
+        When the shape is wrong, or a value is masked, NaN, infinite, not in seconds or rounded.
     """
     given = np.asarray(time)
+    if given.dtype == object and given.size and isinstance(given.flat[0], datetime):
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
+            given = np.asarray(time, dtype="M8[ns]")  # NumPy warns that it converts to UTC
     if given.dtype.kind in "mM":
+        if np.isnat(given).any():
+            raise DataError(f"{name}: time has missing values (NaT); leave out their rows", "E518")
         given = given.astype(f"{given.dtype.kind}8[ns]").astype(np.int64)
     is_integer = np.issubdtype(given.dtype, np.integer) and not np.ma.is_masked(time)
     numbers = given if is_integer else number_array(f"{name}: time", time)
@@ -76,4 +103,14 @@ def instants(name: str, time: ArrayLike) -> IntArray:
             f"{name}: time is masked, NaN, infinite or not in seconds; use seconds or integer ns",
             "E518",
         )
+    if given.dtype.kind == "f" and given.dtype.itemsize < numbers.itemsize:
+        rounding = float(np.spacing(np.abs(given).max()))
+        step = float(np.ptp(numbers)) / max(len(numbers) - 1, 1)
+        if rounding > max(MOST_ROUNDED * step, LEAST_ROUNDING):
+            raise DataError(
+                f"{name}: time is of {given.dtype}, which rounds these times to "
+                f"{rounding:.2g} s; give {numbers.dtype}, or subtract the first time before the "
+                f"conversion to {given.dtype}",
+                "E518",
+            )
     return np.rint(numbers * 1e9).astype(np.int64)

@@ -16,6 +16,7 @@ from symbid_ros.model.tree import ON_LINK, RobotModel
 from symbid_ros.signals.alignment import resampling_margin
 from symbid_ros.signals.base_pose import PoseStream
 from symbid_ros.signals.defects import (
+    CLOCK_JUMP,
     Defect,
     DefectCounts,
     drop_impossible,
@@ -38,7 +39,9 @@ from symbid_ros.signals.streams import (
 from symbid_ros.signals.wrapped_angles import AngleUnwrapper
 
 WORLD = "world"
-LEAST_STEP = 50_000.0  # ns; no robot is read more than 20 000 times a second
+# ns; no robot is read more than 20 000 times a second, and none can be identified from so few
+# readings that steps are longer: milliseconds of 1 kHz, taken for seconds, have steps of 1 s.
+LEAST_STEP, LONGEST_STEP = 50_000.0, 500_000_000.0
 SliceReader = Callable[[int | None, bool], Iterator[Slice]]
 
 
@@ -156,11 +159,14 @@ class Log:
         robot : RobotModel, str or Path
             A robot or its file, whose joints and frames give the columns and the keys below.
         time : (N,) array_like
-            Instants: seconds if floating-point, nanoseconds if integer, or ``datetime64``.
+            Increasing instants: seconds if floating-point, nanoseconds if integer, or dates of
+            Python, NumPy or pandas. Single precision holds seconds from the start of a log, but
+            not those since 1970.
         position, effort : (N, J) array_like
             rad and Nm (m and N for prismatic joints), one column for each of
-            ``robot.measured_joint_names``; a pandas table with these columns may have them in any
-            order. NaN or a mask marks a missing reading. Angles wrapped to one turn are unwrapped.
+            ``robot.measured_joint_names``; a pandas table has columns of these names in any order.
+            NaN or a mask marks a missing reading. Efforts are interpolated across five missing
+            rows at most. Angles wrapped to one turn are unwrapped.
         velocity : (N, J) array_like, optional
             rad/s or m/s; only :func:`symbid_ros.diagnose` uses it, to check the positions.
         imus : mapping of str to (N, 6) array_like, optional
@@ -188,7 +194,8 @@ class Log:
         Raises
         ------
         DataError
-            When an array has the wrong shape or instants repeat.
+            When an array has the wrong shape, a table lacks the column of a joint, or times are
+            not in the stated unit and order.
         ModelError
             When the robot has no frame of that name.
         """
@@ -204,8 +211,8 @@ class Log:
             shape = len(stamp), width or len(names)
             if array.shape != shape:
                 raise DataError(
-                    f"{name}: {what} has shape {array.shape}, expected {shape}: one row for each "
-                    f"of {len(stamp)} instants",
+                    f"{name}: {what} has shape {array.shape}, expected {shape}: a row for each "
+                    f"instant, and a column for each {'component' if width else 'joint'}",
                     "E511",
                 )
             return drop_impossible(array[kept])
@@ -291,6 +298,7 @@ class Log:
             flags=tuple(flags),
             driving=moves,
             poses=tracked,
+            is_arrays=True,
         )
         return cls.from_streams(streams, TimeRange(start, stop), tuple(tallies), stamps)
 
@@ -312,6 +320,23 @@ class Log:
         return cls(streams.source, _read=read)
 
 
+def require_log(log: object, *others: type) -> None:
+    """Check that what a user gave is a log, or of another kind that a function takes.
+
+    Raises
+    ------
+    DataError
+        When it is not.
+    """
+    if not isinstance(log, (Log, *others)):
+        names = " or a ".join(kind.__name__ for kind in (Log, *others))
+        raise DataError(
+            f"log must be a {names} (see symbid_ros.load_bag and symbid_ros.Log.from_arrays), not "
+            f"{type(log).__name__}",
+            "E511",
+        )
+
+
 def _by_frame(what: str, given: Mapping[str, ArrayLike] | None) -> Mapping[str, ArrayLike]:
     """Return the arrays of sensors by their frames, after checking that they are named."""
     if given is None:
@@ -324,14 +349,31 @@ def _by_frame(what: str, given: Mapping[str, ArrayLike] | None) -> Mapping[str, 
 
 
 def _stamps(time: ArrayLike, name: str) -> IntArray:
-    """Return instants (N,) as ns, after checking that their unit is possible."""
+    """Return instants (N,) as ns, after checking that their unit and order are possible."""
     stamp = instants(name, time)
-    steps = np.diff(distinct(stamp))
-    if len(steps) and (step := float(np.median(steps))) <= LEAST_STEP:
+    ordered = distinct(stamp)
+    if len(ordered) == 1 < len(stamp):
         raise DataError(
-            f"{name}: the median step of time is {step:g} ns, which no sensor's rate is; give "
+            f"{name}: all times are {seconds(stamp[0])}; give the time of each row, in double "
+            "precision: float32 rounds the time since 1970 to two minutes",
+            "E315",
+        )
+    step = float(np.median(np.diff(ordered))) if len(ordered) > 1 else None
+    if step is not None and not LEAST_STEP < step < LONGEST_STEP:
+        shown = f"{step:g} ns" if step <= LEAST_STEP else seconds(round(step))
+        raise DataError(
+            f"{name}: the median step of time is {shown}, which no joint sensor's rate is; give "
             "seconds, or ns if they are integers",
             "E518",
+        )
+    change = np.diff(stamp)
+    if len(jumps := np.flatnonzero(change < -CLOCK_JUMP)):
+        at = jumps[0]
+        raise DataError(
+            f"{name}: time jumps back by {seconds(-change[at])} after {seconds(stamp[at])}, row "
+            f"{at}; sort the rows of all arrays by time, or, if another run starts there, give "
+            "each run as a log of its own (see symbid_ros.merge)",
+            "E314",
         )
     return stamp
 

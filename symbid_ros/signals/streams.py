@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from operator import itemgetter
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -145,6 +146,8 @@ class Streams:
         Times, ns, at which a wheeled base drives.
     poses : tuple of PoseStream
         Measured poses of a floating robot; they may have gaps.
+    is_arrays : bool
+        Whether they are arrays of a user; error messages then speak of these, not of topics.
     """
 
     source: str
@@ -155,6 +158,7 @@ class Streams:
     flags: tuple[ContactFlags, ...] = ()
     driving: tuple[tuple[int, int], ...] = ()
     poses: "tuple[PoseStream, ...]" = ()
+    is_arrays: bool = False
 
     @property
     def all(self) -> tuple[Stream, ...]:
@@ -240,10 +244,12 @@ class TimeRange:
     stop: float = np.inf
 
     def __post_init__(self) -> None:
-        if not 0 <= self.start < self.stop:
+        ends: tuple[Any, ...] = self.start, self.stop  # of a user
+        if not all(isinstance(one, Real) for one in ends) or not 0 <= self.start < self.stop:
+            start, stop = (f"{one:g} s" if isinstance(one, Real) else repr(one) for one in ends)
             raise DataError(
-                f"start {self.start:g} s and stop {self.stop:g} s are invalid; give a start of at "
-                "least 0 and a later stop, in seconds after the first joint state",
+                f"start {start} and stop {stop} are invalid; give a start of at least 0 and a "
+                "later stop, in seconds after the first joint state",
                 "E316",
             )
 

@@ -225,6 +225,29 @@ def test_one_joint_that_turns_several_times_is_in_radians(kinds, high, is_found)
     assert [one.kind for one in found] == [Kind.UNIT] * is_found
 
 
+@pytest.mark.parametrize(
+    ("high", "is_found"),
+    [
+        ((4096.0, 4096.0, 4096.0), True),
+        ((-78.0, 78.0, 0.5), True),  # beyond the limits of 1 rad in degrees, too, by 0.35 rad
+        ((-77.0, 78.0, 0.5), False),
+        ((4096.0, 0.5, 0.5), True),  # 410 a second
+        ((2900.0, 0.5, 0.5), False),  # 290 a second, of one joint of three
+    ],
+)
+def test_positions_too_far_or_too_fast_for_any_joint_are_not_in_radians(high, is_found):
+    found = findings(reaching(*high), robot())
+    counts = [one for one in found if "encoder counts" in one.message]
+    assert [(one.kind, one.severity) for one in counts] == [
+        (Kind.UNIT, Severity.UNUSABLE)
+    ] * is_found
+    for one in counts:
+        assert one.figures["largest"] == max(np.abs(high))
+    if is_found and max(high) > 3000:  # a joint without limits shows it by its speed
+        (one,) = findings(reaching(*high), robot(lower=-np.inf))
+        assert one.figures["hip/speed"] == pytest.approx(409.6)
+
+
 @pytest.mark.parametrize(("missing", "severity"), [(500, "WARNING"), (501, "UNUSABLE")])
 def test_a_joint_without_position_in_half_of_the_messages_is_unusable(missing, severity):
     joints = swinging()

@@ -1,5 +1,7 @@
 """Torques that repeat in a turn of a joint, named and found."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drive_logs import NOISE, RATE, SECONDS, arm, drives, log_of, samples_of
@@ -104,3 +106,30 @@ def test_invalid_ripples_are_refused(robot, text):
         Ripple.parse(text.format(*robot.joint_names), robot)
     assert refusal.value.code == "E900"
     assert Ripple.parse(f"{robot.joint_names[JOINT]}:{PERIODS}", robot) == Ripple(JOINT, PERIODS)
+
+
+@pytest.mark.parametrize("seed", [2, 5, 12])
+def test_a_stated_prior_that_the_data_contradict_shows_no_further_terms(seed, caplog):
+    """The residuals of links that are held at wrong values resemble ripples, springs and others."""
+    true = arm(seed=seed)
+    draw = np.random.default_rng(seed)
+    scales = np.concatenate([draw.uniform(0.7, 1.3, (len(true.links), 4)), np.ones((4, 6))], axis=1)
+    wrong = replace(
+        true,
+        links=tuple(
+            replace(one, phi=one.phi * scale) for one, scale in zip(true.links, scales, strict=True)
+        ),
+    )
+    log = log_of(true, drives(true))
+    found = sy.identify(wrong, log, prior_percent=1, unchecked=True, no_holdout=True)
+    assert any(one.startswith("the data contradict the prior") for one in found.alarms)
+    assert not [one for one in found.parameters if "ripple" in one or "stiffness" in one]
+    assert found.estimate.verdict.sensors == ()
+    assert "identified as well" not in caplog.text
+
+
+def test_a_ripple_is_found_beside_a_stated_prior_that_the_data_contradict(robot, log):
+    wrong = replace(robot, links=tuple(replace(one, phi=1.3 * one.phi) for one in robot.links))
+    found = sy.identify(wrong, log, prior_percent=1, unchecked=True, no_holdout=True)
+    assert any(one.startswith("the data contradict the prior") for one in found.alarms)
+    assert ParameterSet.of_names(robot, found.estimate.names).ripples == (Ripple(JOINT, PERIODS),)

@@ -1,17 +1,23 @@
 """Logs of arrays are cut and aligned like a bag with the same measurements."""
 
 import pickle
+import re
 from dataclasses import replace
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
 import pytest
 from expected_errors import raises_code
+from random_robots import random_robot
 
 from symbid_ros.bags import bag_log, read_streams
+from symbid_ros.diagnosis.doctor import diagnose
+from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
+from symbid_ros.signals.alignment import align_checked
 from symbid_ros.signals.defects import Defect
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import TimeRange
@@ -27,6 +33,12 @@ def bag(simulated):
 @pytest.fixture(scope="module")
 def robot():
     return load_model(config_file("symbitron.urdf"))
+
+
+@pytest.fixture(scope="module")
+def arm_model():
+    model = random_robot(3, 8, floating=False)
+    return replace(model, joints=tuple(replace(one, effort=50.0) for one in model.joints))
 
 
 def test_a_time_range_is_the_whole_recording_by_default() -> None:
@@ -179,8 +191,119 @@ def test_columns_of_a_table_are_taken_by_their_names(robot) -> None:
     joints = Log.from_arrays(robot, **(given | {"effort": numbered})).streams().joints
     np.testing.assert_array_equal(joints.effort, given["effort"])
     wrong = Table(["elsewhere", *names[1:]], given["effort"])
-    with raises_code("E511", f"effort has no column {names[0]}; add it"):
+    with raises_code("E511", f"effort has no column {names[0]}; its columns are elsewhere"):
         Log.from_arrays(robot, **(given | {"effort": wrong}))
+
+
+@pytest.mark.parametrize("rename", ["{}_pos".format, lambda name: ("q", name)])
+def test_a_table_without_any_joints_name_is_not_read_by_position(robot, rename) -> None:
+    given, names = arrays(robot), robot.measured_joint_names
+    renamed = Table([rename(name) for name in names], given["position"])
+    with raises_code("E511", f"position has no column {', '.join(names)}; its columns are"):
+        Log.from_arrays(robot, **(given | {"position": renamed}))
+
+
+class Nullable(Table):
+    """Values of pandas of which some are missing, which no float can hold."""
+
+    MISSING = object()
+
+    def isna(self):
+        return np.equal(self.values, self.MISSING)
+
+    def astype(self, dtype):
+        assert dtype is object
+        return self
+
+    def where(self, condition, other):
+        return np.where(condition, self.values, other)
+
+    def __getitem__(self, names):
+        return Nullable(names, super().__getitem__(names).values)
+
+    def __array__(self, dtype=None, copy=None):
+        return self.values if dtype is None else self.values.astype(dtype)
+
+
+def test_missing_values_of_pandas_are_missing_readings(robot) -> None:
+    given, names = arrays(robot), robot.measured_joint_names
+    values = given["effort"].astype(object)
+    values[7, 2] = Nullable.MISSING
+    joints = (
+        Log.from_arrays(robot, **(given | {"effort": Nullable(names, values)})).streams().joints
+    )
+    assert np.argwhere(np.isnan(joints.effort)).tolist() == [[7, 2]]
+    np.testing.assert_array_equal(np.delete(joints.effort, 7, 0), np.delete(given["effort"], 7, 0))
+
+
+@pytest.mark.filterwarnings("error")
+def test_instants_with_a_time_zone_are_converted_to_utc(robot) -> None:
+    given = arrays(robot)
+    start = datetime(2026, 3, 1, 12, tzinfo=timezone(timedelta(hours=2)))
+    times = [start + timedelta(milliseconds=10 * row) for row in range(200)]
+    stamp = Log.from_arrays(robot, **(given | {"time": times})).streams().joints.stamp
+    assert stamp[0] == 1_000_000_000 * round(start.timestamp())
+    np.testing.assert_array_equal(stamp - stamp[0], 10_000_000 * np.arange(200))
+
+
+@pytest.mark.parametrize(
+    ("time", "code", "says"),
+    [
+        ((1.7e9 + np.arange(200) / 100).astype(np.float32), "E518", "float32.*give float64"),
+        (np.float64((1.7e9 + np.arange(200) / 100).astype(np.float32)), "E315", "precision"),
+        (1e4 * np.arange(200) / 100, "E518", "median step of time is 100.000 s.*give seconds"),
+        (np.roll(np.arange(200) / 100, 50), "E314", "row 49; sort the rows"),
+        (np.full(200, np.datetime64("NaT", "ns")), "E518", "NaT"),
+    ],
+)
+def test_implausible_times_are_named_by_their_cause(robot, time, code, says) -> None:
+    with raises_code(code, says):
+        Log.from_arrays(robot, **(arrays(robot) | {"time": time}))
+
+
+def test_single_precision_suffices_for_times_from_the_start(robot) -> None:
+    time = (np.arange(200) / 100).astype(np.float32)
+    stamp = Log.from_arrays(robot, **(arrays(robot) | {"time": time})).streams().joints.stamp
+    np.testing.assert_allclose(stamp, 10_000_000 * np.arange(200), atol=100)
+
+
+@pytest.mark.parametrize("ends", [{"start": "2"}, {"stop": None}, {"start": 3.0, "stop": 2.0}])
+def test_an_invalid_part_is_refused(robot, ends) -> None:
+    with raises_code("E316", "start of at least 0 and a later stop"):
+        Log.from_arrays(robot, **arrays(robot), **ends)
+
+
+def test_errors_about_arrays_do_not_speak_of_topics(robot) -> None:
+    """Each names the array, and what to give instead."""
+    given = arrays(robot)
+    no_imu = given | {"imus": None}
+    short = {
+        name: one[:40] for name, one in given.items() if name in ("time", "position", "effort")
+    }
+    for change, code, says in (
+        (no_imu, "E307", "imus={FRAME: values}.*poses="),
+        (given | {"position": given["position"] * np.nan}, "E304", "rows.*interpolate"),
+        (short | {"imus": {"imu_link": np.ones((40, 6))}}, "E303", "joints has 40 rows"),
+    ):
+        streams = Log.from_arrays(robot, **change).streams()
+        with raises_code(code, says) as error:
+            align_checked(streams, robot)
+        assert not re.search("topic|header|bag|message|driver|publish", str(error.value))
+
+
+def test_efforts_of_one_joint_in_each_row_are_told_from_no_efforts(arm_model) -> None:
+    joints = len(arm_model.measured_joint_names)
+    rng = np.random.default_rng(4)
+    given = {"time": np.arange(400) / 100, "position": rng.normal(size=(400, joints))}
+    effort = rng.normal(size=(400, joints))
+    one_each = np.arange(400)[:, None] % joints == np.arange(joints)
+    for efforts, says in (
+        (np.where(one_each, effort, np.nan), "gaps of more than 5 efforts.*interpolate"),
+        (0.0 * effort, "no effort of any joint.*give efforts in Nm"),
+    ):
+        streams = Log.from_arrays(arm_model, **given, effort=efforts).streams()
+        with raises_code("E305", says):
+            align_checked(streams, arm_model)
 
 
 @pytest.mark.parametrize("unit", ["ms", "us", "ns"])
@@ -248,3 +371,19 @@ def test_a_part_of_a_log_is_cut_at_its_ends(robot, span) -> None:
         assert min(first + 2_000_000_000, one.stop + 200_000_000) - stamp[-1] <= 10_000_000
         assert one.start - 200_000_000 <= stamp[0]
         assert stamp[-1] < one.stop + 200_000_000
+
+
+def test_a_warning_about_missing_efforts_fits_arrays(arm_model, caplog) -> None:
+    joints = len(arm_model.measured_joint_names)
+    values = np.random.default_rng(5).normal(size=(2, 400, joints))
+    values[1, :, 2] = np.nan
+    given = dict(zip(("position", "effort"), values, strict=True))
+    log = Log.from_arrays(arm_model, time=np.arange(400) / 100, **given)
+    align_checked(log.streams(), arm_model)
+    (warning,) = (one for one in caplog.messages if arm_model.joint_names[2] in one)
+    assert warning.endswith("give efforts in Nm (N)")
+    finding = next(
+        one for one in diagnose(log, arm_model).findings if one.kind is Kind.MISSING_JOINT
+    )
+    assert "is in no row" in finding.message
+    assert finding.message.endswith("give the effort of every joint in each row")

@@ -1,0 +1,87 @@
+"""Joints that do not move in a log: their readings cannot show springs, and may be frozen."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray
+from symbid_ros.identification.solver import Solver
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.segments import Segment
+
+# RMS deviation from the mean position of a joint that rests: rad, and m of a slide.
+RESTING_ANGLE, RESTING_TRAVEL = 1e-3, 1e-4
+# Shares of the RMS effort and of its RMS change above which the residual of such a joint is not
+# what friction at rest leaves; fewest rows, and least residual in deviations of averaged noise.
+SHARE, SHARE_OF_CHANGE, FEWEST_ROWS, CLEAR = 0.2, 0.5, 20, 3.0
+
+
+def resting_joints(segments: Iterable[Segment], model: RobotModel) -> BoolArray:
+    """Return which of the J joints do not move in a log."""
+    first, count = None, 0
+    total, square = np.zeros((2, len(model.joints)))
+    for segment in segments:
+        first = segment.position[0] if first is None else first
+        change = segment.position - first  # small numbers, whose squares are exact
+        count += len(change)
+        total += change.sum(axis=0)
+        square += np.sum(change**2, axis=0)
+    if not count:
+        return np.zeros(len(model.joints), dtype=bool)
+    deviation = np.sqrt(np.maximum(square / count - (total / count) ** 2, 0.0))
+    is_slide = np.array([joint.kind == "prismatic" for joint in model.joints])
+    return np.asarray(deviation < np.where(is_slide, RESTING_TRAVEL, RESTING_ANGLE))
+
+
+def unpredicted_at_rest(
+    solver: Solver, segments: Iterable[Segment], residual: Mapping[str, float]
+) -> tuple[str, ...]:
+    """Return the joints of a fixed base that do not move and whose efforts are not predicted.
+
+    Parameters
+    ----------
+    solver : Solver
+        Of the log.
+    segments : iterable of Segment
+        The log.
+    residual : mapping of str to float
+        RMS residual of each coordinate, Nm or N.
+    """
+    solved, rows = solver.problem, solver.chosen
+    model = solved.parameters.model
+    if model.floating or not (is_resting := resting_joints(segments, model)).any():
+        return ()
+    count, total, square, bend, rate = 0, *np.zeros((3, len(model.joints))), 0.0
+    for segment in segments:
+        effort = np.nan_to_num(segment.effort)
+        count += len(effort)
+        total += effort.sum(axis=0)
+        square += np.sum(effort**2, axis=0)
+        # White noise of variance σ² has second differences of variance 6 σ².
+        bend += np.sum(np.diff(effort, n=2, axis=0) ** 2, axis=0) / 6
+        rate = segment.rate
+    size = np.sqrt(square / count)
+    change = np.sqrt(np.maximum(square / count - (total / count) ** 2, 0.0))
+    noise = np.sqrt(bend / count / max(rate * rows.window, 1.0))
+    least = np.max([SHARE * size, SHARE_OF_CHANGE * change, CLEAR * noise], axis=0)
+    counts = dict(zip(rows.layout.coordinates, rows.counts.diagonal(), strict=True))
+    return tuple(
+        name
+        for name, rests, bound in zip(model.joint_names, is_resting, least, strict=True)
+        if rests
+        # Efforts whose factor is identified are not measured in Nm.
+        and f"{name}/drive_gain" not in solved.sensor_names
+        and counts.get(name, 0.0) >= FEWEST_ROWS
+        and residual.get(name, 0.0) > bound
+    )
+
+
+def resting_alarm(names: Sequence[str]) -> str:
+    """Return the alarm about joints that :func:`unpredicted_at_rest` found."""
+    one = len(names) == 1
+    return (
+        f"{', '.join(names)} {'does' if one else 'do'} not move in this log, and the effort of "
+        f"{'this joint' if one else 'these joints'} is not predicted: check whether "
+        f"{'its encoder is' if one else 'their encoders are'} frozen, or "
+        f"{'its brake' if one else 'their brakes'} closed"
+    )
