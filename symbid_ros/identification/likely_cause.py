@@ -37,6 +37,7 @@ WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of
 WRONG_EFFORTS = (
     "the factors of the efforts that another alarm names may explain it; correct these first"
 )
+DELAY_ALARM = "the delay that another alarm names"
 EFFECTS = {
     "viscous": "viscous friction",
     "warming": "viscous friction that changes during the log",
@@ -151,7 +152,9 @@ def _with_tried_causes(problem: LoadedProblem, found: Identification) -> Identif
     if rows is None:
         when, sentence = "", "the log is too short to try likely causes; record longer"
     else:
-        when, sentence = _when(rows, worst.coordinate), _explanation(rows, worst)
+        is_late = any(one.kind is Kind.DELAY for one in problem.checks.findings)
+        sentence = _explanation(rows, worst, DELAY_ALARM if is_late else "")
+        when = _when(rows, worst.coordinate)
     return _with_cause(found, when, sentence)
 
 
@@ -165,8 +168,11 @@ def _with_cause(found: Identification, when: str, sentence: str) -> Identificati
     return replace(found, estimate=replace(found.estimate, verdict=replace(verdict, alarms=alarms)))
 
 
-def _explanation(rows: CandidateRows, worst: UnexplainedForce) -> str:
-    """Return the likely cause of an unexplained force as the end of a sentence."""
+def _explanation(rows: CandidateRows, worst: UnexplainedForce, delay: str = "") -> str:
+    """Return the likely cause of an unexplained force as the end of a sentence.
+
+    ``delay`` replaces the description of a delay, of which another alarm gives the size.
+    """
     cause = best_cause(rows, worst.coordinate)
     if cause is None:
         tried = ", ".join(EFFECTS[one.kind] for one in rows.candidates)
@@ -178,9 +184,10 @@ def _explanation(rows: CandidateRows, worst: UnexplainedForce) -> str:
         )
     likely = "likely cause" if cause.gain > MOSTLY else "a part of it"
     left = force_text(worst.size * cause.remains, worst.unit)
-    return (
-        f"{likely}: {EFFECTS[cause.kind]}{cause.detail}, which would leave {left}; {cause.advice}"
-    )
+    what = f"{EFFECTS[cause.kind]}{cause.detail}"
+    if cause.kind == "delay" and delay:
+        what = delay
+    return f"{likely}: {what}, which would leave {left}; {cause.advice}"
 
 
 def best_cause(rows: CandidateRows, coordinate: str) -> Cause | None:
