@@ -43,7 +43,7 @@ def print_table(
     style : Box
     """
     names = max([len(first), *(len(row[0]) for row in rows if row is not None)])
-    width = min(names, max(LEAST_NAME, console.width // 3))
+    width = names
     headers = [header for group in groups for header in group]
 
     def part(start: int, stop: int, *, is_dense: bool) -> Table:
@@ -66,6 +66,8 @@ def print_table(
     if title is not None:
         console.print(Text(title, style="italic"), soft_wrap=True)
     whole = 0, len(headers)
+    if not (fits(*whole) or fits(*whole, is_dense=True)):
+        width = min(names, max(LEAST_NAME, console.width // 3))
     if fits(*whole) or fits(*whole, is_dense=True):
         console.print(part(*whole, is_dense=not fits(*whole)))
         return

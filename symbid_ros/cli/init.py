@@ -1,5 +1,6 @@
 """``symbid init``."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -59,14 +60,22 @@ def init(
     urdf = files[0].parent / expanded_name(model) if is_xacro else model
     paths = {"`model`": model, "`out`": out, "`foxglove`": foxglove}
     if is_xacro:
-        files.append(urdf)
         paths["the URDF of `model`"] = urdf
     require_distinct(paths)
     for file in files:
         check_output_file(file, lambda _: overwrite, "give `overwrite`")
     is_new = is_xacro and not urdf.exists()
     if is_xacro:
-        expand_xacro(model, urdf)
+        text = expand_xacro(model)
+
+        def is_same(file: Path) -> bool:
+            with suppress(OSError, UnicodeDecodeError):
+                return file.read_text(encoding="utf-8") == text
+            return False
+
+        remedy = f"give `overwrite` if the URDF of {model} may replace it"
+        check_output_file(urdf, lambda file: overwrite or is_same(file), remedy)
+        write_text(urdf, text)
     console = Console(soft_wrap=True)
     try:
         setup = None if bag is None else inspect_robot(urdf, bag, base)

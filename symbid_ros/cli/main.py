@@ -2,6 +2,7 @@
 
 import signal
 import sys
+from io import TextIOWrapper
 from types import FrameType
 from typing import NoReturn
 
@@ -13,6 +14,9 @@ INTERRUPTED = 130  # as in shells: 128 plus the signal's number
 def main() -> None:
     """Run the command line and exit with its status; after Ctrl-C that is 130."""
     exit_on_signals()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # a terminal of another encoding shows ? for ┏
+            stream.reconfigure(errors="replace")
     was_interrupted = False
 
     def interrupt(_: int, __: FrameType | None) -> NoReturn:

@@ -44,6 +44,7 @@ class Kind(Enum):
     ORIENTATION = "orientation"
     UNIT = "unit"
     GRAVITY = "gravity"
+    TWO_PUBLISHERS = "two_publishers"
     VELOCITY = "velocity"
     UNSIGNED_EFFORT = "unsigned_effort"
     EFFORT_NOISE = "effort_noise"

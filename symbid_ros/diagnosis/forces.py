@@ -29,8 +29,9 @@ DEVIATIONS = 3.0
 REVERSED = 2 * MIN_EVIDENCE
 # Smallest gain that is reported, relative to the common gain.
 SMALLEST = 1e-4
-# Factors of the efforts of so many joints that differ from one power of ten by less are its unit.
-SAME_UNIT, FEWEST_OF_A_UNIT = 1.1, 3
+# Factors of the efforts of so many joints that differ from one power of ten, and from each other,
+# by less are its unit. The model's masses may err by as much.
+SAME_UNIT, FEWEST_OF_A_UNIT = 1.25, 3
 MILLI = 1e-3
 # RMS efforts that are this many times the limits of their joints may be in mNm: more than drives
 # give beyond stated limits, and less than a thousand times what they can.
@@ -193,7 +194,9 @@ def common_unit(factors: Collection[float]) -> float | None:
     """
     powers = np.log10(np.abs([*factors])) if factors else np.zeros(0)
     power = float(np.rint(np.median(powers))) if len(powers) else 0.0
-    is_unit = power and min(factors) > 0 and np.all(np.abs(powers - power) < np.log10(SAME_UNIT))
+    errors = powers - power
+    largest = max(np.abs(errors).max(initial=0.0), np.ptp(errors) if len(errors) else 0.0)
+    is_unit = power and min(factors) > 0 and largest < np.log10(SAME_UNIT)
     return 10.0**power if is_unit and len(powers) >= FEWEST_OF_A_UNIT else None
 
 

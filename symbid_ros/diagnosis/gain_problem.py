@@ -7,6 +7,7 @@ from scipy.linalg import solve_triangular
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import JOINT_TERMS
+from symbid_ros.diagnosis.effort_lags import LaggedRows
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.estimation.prior_std import OFFSET_STD
@@ -48,6 +49,8 @@ class GainProblem:
     body_std : (p,) float64 or None
         Like ``std``, but values near zero, such as a centre of mass on an axis, may be off by a
         quarter of the link's size. Checks of single joints use it.
+    lagged : LaggedRows or None
+        The same rows with the efforts of other instants; None if delays are small.
     """
 
     rows: CoordinateRows
@@ -56,6 +59,7 @@ class GainProblem:
     gains: GainLayout
     links: int | None = None
     body_std: FloatArray | None = None
+    lagged: LaggedRows | None = None
 
     @classmethod
     def of(
@@ -79,6 +83,12 @@ class GainProblem:
                 share = JOINT_TERMS[term].load_share
                 std[column] = share * load[joint] / max(size, 1e-9) + PINNED
         return cls(rows, mean, std, gains, links, np.append(body_std, std[links:]))
+
+    def with_later_efforts(self, delay: float) -> "GainProblem":
+        """Return the problem of the delays that remain if efforts are read so much later, s."""
+        if self.lagged is None or delay == 0.0:
+            return self
+        return replace(self, rows=self.lagged.shifted(delay))
 
     @property
     def for_joints(self) -> "GainProblem":

@@ -311,18 +311,23 @@ class GainRows(AveragingRows):
         φ.
     gains : GainLayout
         θ.
+    further : callable, optional
+        Returns further columns (N, n, m) of a layout, a model and sensor samples.
     """
 
     parameters: ParameterSet
     gains: GainLayout
+    further: Callable[[GainLayout, RobotModel, SensorSamples], FloatArray] | None = None
 
     def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
         """Yield the rows of sensor samples."""
+        further = self._further(readings)
         for start in range(0, len(readings), CHUNK):
             part = readings[start : start + CHUNK]
             samples = at_base(part, self.parameters.model)
             rows = equation_of_motion(self.parameters, samples)
-            K = np.concatenate([rows.K, -self.gains.columns(self.parameters, part)], axis=2)
+            gains = self.gains.columns(self.parameters, part)
+            K = np.concatenate([rows.K, -gains, -further[start : start + CHUNK]], axis=2)
             yield valid_rows(part.stamp, Rows(K, rows.y), self._valid(samples))
 
     def averages(self, readings: SensorSamples, weights: Sequence[csr_array]) -> list[Average]:
@@ -334,9 +339,16 @@ class GainRows(AveragingRows):
             at_base(readings, parameters.model), parameters.model, readings.recorded
         )
         K, y = averaged_equation_of_motion(parameters, samples, csr_array(vstack(weights)))
-        rows = Rows(-self.gains.columns(parameters, readings), y)
+        gains = self.gains.columns(parameters, readings)
+        rows = Rows(-np.concatenate([gains, self._further(readings)], axis=2), y)
         of_gains = average(iter([valid_rows(readings.stamp, rows, self._valid(samples))]), weights)
         return extended(of_gains, K)
+
+    def _further(self, readings: SensorSamples) -> FloatArray:
+        model = self.parameters.model
+        if self.further is None:
+            return np.zeros((len(readings), model.dof, 0))
+        return self.further(self.gains, model, readings)
 
     def _valid(self, samples: Samples) -> BoolArray:
         """Return which coordinates (N, n) are checked.
@@ -390,6 +402,17 @@ class CoordinateRows:
                 0, min(32, len(columns) + 1), self._factors[index], block, True, True
             )
         self.samples += len(rows.y)
+
+    def combined(self, change: FloatArray, shift: FloatArray | None = None) -> "CoordinateRows":
+        """Return the rows [K T, y - K s] for T (q, m) and s (q,)."""
+        chosen = CoordinateRows(
+            self.coordinates, self.units, self.structure @ (change != 0), self.samples
+        )
+        for index, (columns, own) in enumerate(zip(self._columns, self._factors, strict=True)):
+            new = own[:, :-1] @ change[np.ix_(columns, chosen._columns[index])]
+            target = own[:, -1] if shift is None else own[:, -1] - own[:, :-1] @ shift[columns]
+            chosen._factors[index] = np.column_stack([new, target])
+        return chosen
 
     def whitened(self, deviation: FloatArray) -> FloatArray:
         """Return the triangular factor (q + 1, q + 1) of all rows divided by deviations (n,)."""

@@ -32,6 +32,8 @@ NEARLY_PINNED = 1e-2
 # A delay or offset must explain this many squared deviations, and this share of the total.
 EVIDENCE = 25.0
 SHARE = 0.1
+# Steps in which the delay of efforts is found, until one is this small, s.
+SHIFTS, SMALL_STEP = 10, 5e-4
 
 
 def estimate_gains(problem: GainProblem) -> GainEstimate:
@@ -75,6 +77,24 @@ def estimate_gains(problem: GainProblem) -> GainEstimate:
 
 def estimate_delays(problem: GainProblem) -> GainEstimate:
     """Return the most probable delays with gains of one.
+
+    The columns of the delays are derivatives. Friction makes efforts jump, so their delay is found
+    in steps: the efforts are shifted by each step before the next one.
+    """
+    delays, shift = _remaining_delays(problem), 0.0
+    place = problem.gains.effort_delay
+    for _ in range(SHIFTS):
+        step, _ = find_late_streams(delays).get(place, (0.0, 0.0))
+        if problem.lagged is None or abs(step) < SMALL_STEP:
+            break
+        shift += step
+        delays = _remaining_delays(problem.with_later_efforts(shift))
+    delays.mean[place] += shift
+    return delays
+
+
+def _remaining_delays(problem: GainProblem) -> GainEstimate:
+    """Return the delays of a problem that are small.
 
     The gains cannot shrink, so the residuals weight the rows without a floor.
     """

@@ -40,6 +40,10 @@ LEAST_SIGNAL = 0.25
 # Second differences of white noise have six times its power; those of a vibration have more.
 WHITE = 7.0
 FEWEST_EFFORTS = 500  # messages from which noise is judged
+# A position that jumps further than this, rad or m, comes back if the next one is within this share
+# of the jump from the one before. Two publishers whose messages alternate in part cause at least so
+# many such jumps, as a share of the messages; white noise causes half as many.
+JUMP, BACK, TWO_PUBLISHERS = 0.02, 0.2, 0.25
 # A joint without a position in this share of the messages makes a log unusable.
 MOST_MISSING = 0.5
 
@@ -75,6 +79,7 @@ class JointCheck:
     _without_effort: IntArray = field(init=False)
     _has_effort: BoolArray = field(init=False)
     _is_negative: BoolArray = field(init=False)
+    _returns: IntArray = field(init=False)  # jumps to and fro
     _moved: IntArray = field(init=False)  # number of spans with motion down and up
     _speeds: FloatArray = field(init=False)  # number of spans, and squares of their mean velocity
     # Number of efforts, their squares, and the squares of their second differences.
@@ -89,6 +94,7 @@ class JointCheck:
         self._without_effort = np.zeros(joints, dtype=np.int64)
         self._has_effort = np.zeros(joints, dtype=bool)
         self._is_negative = np.zeros(joints, dtype=bool)
+        self._returns = np.zeros(joints, dtype=np.int64)
         self._moved = np.zeros((2, joints), dtype=np.int64)
         self._speeds = np.zeros((2, joints))
         self._efforts = np.zeros((3, joints))
@@ -110,6 +116,7 @@ class JointCheck:
         self._has_effort |= np.any(is_finite & (joints.effort[inside] != 0.0), axis=0)
         self._is_negative |= np.any(joints.effort[inside] < 0.0, axis=0)
         self._add_efforts(joints.effort[inside])
+        self._add_returns(joints.position[inside])
         position = joints.position
         self._low = np.fmin(self._low, np.nanmin(position, axis=0, initial=np.inf))
         self._high = np.fmax(self._high, np.nanmax(position, axis=0, initial=-np.inf))
@@ -139,6 +146,18 @@ class JointCheck:
         ]
         self._count += len(change)
 
+    def _add_returns(self, position: FloatArray) -> None:
+        """Count the jumps of successive positions (N, J) that come back at once."""
+        if len(position) < 3:
+            return
+        jump, rest = position[1:-1] - position[:-2], position[2:] - position[:-2]
+        size = np.abs(jump)
+        beyond = np.abs(np.remainder(jump + np.pi, 2 * np.pi) - np.pi)
+        is_wrapped = (size > np.pi) & (beyond < BACK * size)
+        self._returns += np.count_nonzero(
+            (size > JUMP) & (np.abs(rest) < BACK * size) & ~is_wrapped, axis=0
+        )
+
     def _add_efforts(self, effort: FloatArray) -> None:
         """Add the squares of successive efforts (N, J) and of their second differences."""
         bend = np.diff(effort, 2, axis=0)
@@ -165,10 +184,28 @@ class JointCheck:
 
     def findings(self, model: RobotModel | None) -> list[Finding]:
         """Return the findings about positions, velocities and efforts."""
+        if two := self._publisher_findings():
+            return two
         found = self._count_findings(model)
         if not found and model is not None:
             found = self._degree_findings(model)
         return [*self._missing_value_findings(model), *(found or self._velocity_findings())]
+
+    def _publisher_findings(self) -> list[Finding]:
+        """Return a finding if positions jump to and fro, which would disturb all other checks."""
+        places = np.flatnonzero(self._returns > TWO_PUBLISHERS * self._messages).tolist()
+        if not places:
+            return []
+        return [
+            Finding.of(
+                self.topic,
+                Kind.TWO_PUBLISHERS,
+                f"positions of {self._list_names(places)} jump to and fro between two values, as "
+                "if two nodes published on this topic; record the topic of one of them, or stop "
+                "the other",
+                {"jumps": int(self._returns.max()), "messages": self._messages},
+            )
+        ]
 
     def _missing_value_findings(self, model: RobotModel | None) -> list[Finding]:
         """Return findings for joints that lack required positions or efforts."""

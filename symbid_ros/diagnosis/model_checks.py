@@ -322,7 +322,9 @@ def _check_delays(
         # Above a standing foot the angular velocity gives a better delay.
         if f"{imus[index]}/delay_ms" not in checks.figures:
             streams[imus[index]] = ("", gains.imu(index).stop)
-    error = effort_delay_error(statistics.problem) if gains.driven else 0.0
+    found, _ = late.get(gains.effort_delay, (0.0, 0.0))
+    problem = statistics.problem.with_later_efforts(found)
+    error = effort_delay_error(problem) if gains.driven else 0.0
     for topic, (what, place) in streams.items():
         delay, std = delays.delay(place)
         name = f"{topic}/effort_delay" if what else f"{topic}/delay"

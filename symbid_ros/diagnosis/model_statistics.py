@@ -8,6 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import TERMS, Term
+from symbid_ros.diagnosis.effort_lags import LAGS, LaggedRows, lagged_efforts
 from symbid_ros.diagnosis.gain_problem import GainProblem
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, GainRows
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
@@ -72,8 +73,6 @@ class ModelStatistics:
         Prior of the links: the model's values ±25 %.
     gains : GainLayout
         Layout of the unknown gains and delays.
-    rows : CoordinateRows
-        Accumulated rows in all unknowns.
     standing : tuple of StanceGyroMoments
         Moments of each IMU.
     payloads : tuple of PayloadEvidence
@@ -91,11 +90,12 @@ class ModelStatistics:
         links = ParameterSet(model)
         self.prior: Prior = model_prior(links).marginal(links.names[: links.inertial])
         self.gains = GainLayout.of(model, tuple(wrench_frames), tuple(imu_frames))
-        structure = RowLayout.of(self.parameters).structure
-        self.rows = CoordinateRows(
-            model.coordinates,
-            model.coordinate_units,
-            np.hstack([structure, self.gains.structure(model)]),
+        of_gains = self.gains.structure(model)
+        delayed = of_gains[:, [self.gains.effort_delay] * len(LAGS)]
+        structure = np.hstack([RowLayout.of(self.parameters).structure, of_gains, delayed])
+        self._lagged = LaggedRows(
+            CoordinateRows(model.coordinates, model.coordinate_units, structure),
+            len(self.parameters.values) + self.gains.effort_delay,
         )
         self.standing = tuple(
             StanceGyroMoments(model, index)
@@ -104,7 +104,7 @@ class ModelStatistics:
         self.payloads = payload_evidence(model, [*model.wrist_sensors, *wrench_frames])
         feet = tuple(wrench_frames) if model.floating else ()
         self.unloaded = UnloadedSensors(feet, self.weight)
-        self._build = GainRows(self.parameters, self.gains)
+        self._build = GainRows(self.parameters, self.gains, lagged_efforts)
         self._row_sum = np.zeros((model.dof, len(self.prior.names)))
         self._samples = self._blocks = 0
         self._force_square = np.zeros(len(wrench_frames))
@@ -137,15 +137,21 @@ class ModelStatistics:
                 continue
             for part in cut_to([segment], block * length, (block + 1) * length):
                 for (rows,) in windowed_rows(part, self._build, windows, (), shortest=SHORTEST):
-                    self.rows.fold(rows.mean)
+                    self._lagged.rows.fold(rows.mean)
                     self._row_sum += rows.mean.K[:, :, : len(self.prior.names)].sum(axis=0)
+
+    @property
+    def rows(self) -> CoordinateRows:
+        """Accumulated rows in all unknowns."""
+        return self._lagged.unshifted
 
     @property
     def problem(self) -> GainProblem:
         """The estimation problem of the gains and delays."""
-        return GainProblem.of(
+        problem = GainProblem.of(
             self.rows, self.parameters, self.prior.std, self.gains, self._body_std
         )
+        return replace(problem, lagged=self._lagged)
 
     @property
     def _body_std(self) -> FloatArray:

@@ -115,6 +115,10 @@ class DrivenJoints:
         """Return the motion, and the shares of efforts (N, D) as a function of forces (N, n)."""
         return self.samples(motion), lambda force: self.torques(motion, force) / self.effort
 
+    def share_names(self, count: int) -> list[str]:
+        """Return the names of the ``count`` shares of `limited`."""
+        return [f"the effort of {name}" for name in self.names[:count]]
+
     def slopes(self, motion: FloatArray) -> FloatArray:
         """Return the derivatives (N, J, D) of all joints' positions by the coordinates."""
         chosen = np.zeros((len(self.model.joints), len(self.indices)))

@@ -72,6 +72,10 @@ class MotionSpace(Protocol):
         """
         ...
 
+    def share_names(self, count: int) -> list[str]:
+        """Return the names of the ``count`` shares of `limited`."""
+        ...
+
     def torques(self, motion: FloatArray, force: FloatArray) -> FloatArray:
         """Return the efforts of the joints that move for generalised forces (N, n)."""
         ...

@@ -114,6 +114,29 @@ class Design:
         position = self.expected.joints.samples(motion[:, ::stride]).position
         return max(used, self.clearance.usage(position))
 
+    def obstacle(self, coordinates: FloatArray) -> tuple[float, str]:
+        """Return the largest share of a limit at rest at coordinates (D,), and what it is of."""
+        motion = np.zeros((3, 1, len(coordinates)))
+        motion[0] = coordinates
+        joints = self.expected.joints
+        found = [
+            (float(one), f"the position of {name}")
+            for one, name in zip(
+                self.limits.usage(motion)["position"], joints.coordinates, strict=True
+            )
+        ]
+        shares = np.abs(self.expected.shares(motion))[0]
+        found += zip(shares.tolist(), joints.share_names(len(shares)), strict=True)
+        used, name = max(found)
+        worst = used, f"{name} uses {100 * used:.0f} % of what is allowed"
+        if used <= 1.0 and self.clearance is not None:
+            position = joints.samples(motion).position
+            distance, links = self.clearance.smallest(position)
+            gap = f"{1e3 * abs(distance):.2g} mm"
+            text = f"{links} {f'are {gap} apart' if distance > 0 else f'overlap by {gap}'}"
+            worst = max(worst, (self.clearance.usage(position), text))
+        return worst
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -203,13 +226,19 @@ class TrajectoryOptimizer:
         if self.best is None:
             raise OptionError(
                 f"{self.design.expected.joints.model.source}: no random motion keeps the limits "
-                "and distances; check the collision shapes, or give a lower `floor`, a smaller "
+                f"and distances: in the best of {RETRIES} random postures, {self._obstacle()}; "
+                "check the collision shapes and limits, or give a lower `floor`, a smaller "
                 "`clearance` or `no_collision`; of a standing robot another `posture`",
                 "E584",
             )
         for number, start in enumerate(candidates[:starts], start=1):
             self._climb(start, number, starts, iterations)
         return self.best
+
+    def _obstacle(self) -> str:
+        """Return what prevents the robot from resting in the best of some random postures."""
+        drawn = [self._at_rest()[0], *(self._draw()[0] for _ in range(RETRIES - 1))]
+        return min(self.design.obstacle(coordinates) for coordinates in drawn)[1]
 
     def _climb(self, start: FloatArray, number: int, starts: int, iterations: int) -> None:
         """Improve a feasible start by quadratic programs within a trust region."""

@@ -162,7 +162,7 @@ def _notes(plan: ExcitationPlan) -> list[str]:
     return [
         f"Known before: {prior}.",
         f"Sensors: {sensors.rate:g} Hz; noise of efforts {sensors.effort_noise:g} % of each "
-        f"joint's largest effort, and of positions {sensors.position_noise:g} rad.",
+        f"joint's effort limit, and of positions {sensors.position_noise:g} rad.",
         f"The controller first moves to the start posture within {plan.approach:g} s. Nothing "
         "checks that move for collisions.",
         *(f"No file states: {each}." for each in problem.limits.assumed),

@@ -131,7 +131,11 @@ def fixed_base_problem(
     capacity, remarks = _capacity(robot, limits)
     limits = replace(limits, assumed=(*limits.assumed, *remarks))
     precision = _precision(robot, sensors, capacity, expected, postures)
-    clearance, unchecked = _clearance(parameters.model, options, joints, postures)
+    # Random motions are about postures in the middle half of the ranges, so that two links that
+    # are always close there leave none.
+    clearance, unchecked = _clearance(
+        parameters.model, options, joints, (used.centre + postures) / 2
+    )
     return ExcitationProblem(
         options,
         sensors,

@@ -25,6 +25,7 @@ KNEE = 1.5  # rad, of a quadruped that crouches
 UNEVEN, TILTED = 0.02, 0.02
 # Corners of shapes within this height belong to a sole, m, and its smallest width.
 SOLE_THICKNESS, SMALLEST_SOLE = 0.01, 0.02
+_POINT = "give {}:point in `feet` if it touches the ground in a point"
 
 
 def contact_names(options: ExciteOptions) -> tuple[str, ...]:
@@ -69,10 +70,14 @@ def find_stance(robot: RobotModel, options: ExciteOptions) -> Stance:
         level = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up.mean(axis=0)])[0].as_matrix()
         tilt = float(np.arccos(np.clip((up @ level.T)[:, 2], -1, 1)).max())
         if tilt > TILTED:
-            raise _no_stance(robot, f"its soles are {np.degrees(tilt):.1f} degrees from level")
+            why = f"its soles are {np.degrees(tilt):.1f} degrees from level"
+            raise _no_stance(robot, f"{why}; {_POINT.format(feet[soles[0]].frame)}")
     heights = (place @ level.T)[:, 2] - [foot.radius for foot in feet]
     if np.ptp(heights) > UNEVEN:
-        raise _no_stance(robot, f"its feet differ by {1e3 * np.ptp(heights):.0f} mm in height")
+        why = f"its feet differ by {1e3 * np.ptp(heights):.0f} mm in height"
+        if soles:
+            why += f"; {_POINT.format(feet[soles[0]].frame)}"
+        raise _no_stance(robot, why)
     if len(feet) + 2 * len(soles) < 3:
         raise _no_stance(robot, "it needs a sole or three points to stand on")
     base = np.array([0.0, 0.0, -heights.mean()])

@@ -115,6 +115,13 @@ class StandingMotion:
 
         return samples, shares
 
+    def share_names(self, count: int) -> list[str]:
+        """Return the names of the ``count`` shares of `limited`."""
+        legs = [self.model.joint_names[index] for index in self._legs.tolist()]
+        kinds = ("position", "speed", "acceleration", "effort")
+        of_joints = [f"the {kind} of {name}" for kind in kinds for name in legs]
+        return [*of_joints, *["a contact or a leg's stretch"] * (count - len(of_joints))]
+
     def contact_shares(self, motion: FloatArray, force: FloatArray) -> dict[str, FloatArray]:
         """Return the shares of the contacts' limits by name, for forces (N, n)."""
         poses = self.stance.samples(motion)[1]

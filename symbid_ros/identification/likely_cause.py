@@ -38,6 +38,7 @@ WRONG_EFFORTS = (
     "the factors of the efforts that another alarm names may explain it; correct these first"
 )
 FROZEN = "a joint at rest that another alarm names may explain it; check that first"
+DELAY_ALARM = "the delay that another alarm names"
 EFFECTS = {
     "viscous": "viscous friction",
     "warming": "viscous friction that changes during the log",
@@ -156,7 +157,9 @@ def _with_tried_causes(
     if rows is None:
         when, sentence = "", "the log is too short to try likely causes; record longer"
     else:
-        when, sentence = _when(rows, worst.coordinate), _explanation(rows, worst)
+        is_late = any(one.kind is Kind.DELAY for one in problem.checks.findings)
+        sentence = _explanation(rows, worst, DELAY_ALARM if is_late else "")
+        when = _when(rows, worst.coordinate)
     return _with_cause(found, when, sentence)
 
 
@@ -169,8 +172,11 @@ def _with_cause(found: Identification, when: str, sentence: str) -> Identificati
     return found.with_alarms(tuple(after if alarm == before else alarm for alarm in verdict.alarms))
 
 
-def _explanation(rows: CandidateRows, worst: UnexplainedForce) -> str:
-    """Return the likely cause of an unexplained force as the end of a sentence."""
+def _explanation(rows: CandidateRows, worst: UnexplainedForce, delay: str = "") -> str:
+    """Return the likely cause of an unexplained force as the end of a sentence.
+
+    ``delay`` replaces the description of a delay, of which another alarm gives the size.
+    """
     cause = best_cause(rows, worst.coordinate)
     if cause is None:
         tried = ", ".join(EFFECTS[one.kind] for one in rows.candidates)
@@ -182,9 +188,10 @@ def _explanation(rows: CandidateRows, worst: UnexplainedForce) -> str:
         )
     likely = "likely cause" if cause.gain > MOSTLY else "a part of it"
     left = force_text(worst.size * cause.remains, worst.unit)
-    return (
-        f"{likely}: {EFFECTS[cause.kind]}{cause.detail}, which would leave {left}; {cause.advice}"
-    )
+    what = f"{EFFECTS[cause.kind]}{cause.detail}"
+    if cause.kind == "delay" and delay:
+        what = delay
+    return f"{likely}: {what}, which would leave {left}; {cause.advice}"
 
 
 def best_cause(rows: CandidateRows, coordinate: str) -> Cause | None:

@@ -48,6 +48,8 @@ DISAGREEMENT = 1.0
 SOFTWARE = f"symbid_ros {package_version()}"
 # Change, in posterior standard deviations, at which a trial has converged.
 TRIAL = 1e-3
+# Parameters of a link that all move by less than this share of their prior deviation stay.
+UNMOVED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -434,6 +436,11 @@ class Solver:
             fixed[parameters.sensor_offsets] = False
             value = np.concatenate([np.where(fixed, prior.mean[:p], value[:p]), value[p:]])
             std = np.where(fixed, 0.0, std)
+        # The same holds of links of which the log tells nothing, to the solver's tolerance.
+        moved = np.abs(value[:p] - prior.mean[:p])[: parameters.inertial].reshape(-1, 10)
+        is_moved = np.any(moved > UNMOVED * before[: parameters.inertial].reshape(-1, 10), axis=1)
+        same = np.append(np.repeat(~is_moved, 10), np.zeros(len(value) - parameters.inertial, bool))
+        value = np.where(same, np.append(prior.mean[:p], value[p:]), value)
         return Estimate(
             method=method,
             model=parameters.model.name,

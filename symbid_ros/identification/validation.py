@@ -392,7 +392,10 @@ def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validatio
         not_judged=tuple(
             model.joint_names[joint]
             for joint in model.moving_joints
-            if len(joints) and rows.first_joint + joint not in joints
+            if len(joints)
+            and rows.first_joint + joint not in joints
+            # A mimic joint has no row of its own: its load is part of its leader's.
+            and joint not in model.followers
         ),
     )
     if found.percent_after is not None and found.percent_after >= NO_MODEL:

@@ -55,7 +55,7 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
     else:
         model = load_mjcf(path)
         _require_base(model, path, base)
-        _report_ignored(path)
+        _report_ignored(path, model)
     _report_massless(model, is_base_known=base != "auto")
     _report_density(model)
     return model
@@ -89,10 +89,17 @@ def _require_base(model: RobotModel, path: Path, base: Base) -> None:
         )
 
 
-def _report_ignored(path: Path) -> None:
+def _report_ignored(path: Path, model: RobotModel) -> None:
     """Log what MuJoCo simulates and the equation of motion lacks."""
     root = read_mjcf(path)
+    joints = [joint for body in model.bodies for joint in body.joints]
+    mimics = [{joint.name, joint.mimic[0]} for joint in joints if joint.mimic is not None]
     found = {tag: root.findall(f"{tag}/*") for tag in ("equality", "tendon")}
+    found["equality"] = [
+        one
+        for one in found["equality"]
+        if one.tag != "joint" or {one.get("joint1"), one.get("joint2")} not in mimics
+    ]
     names = [each.get("name", f"<{each.tag}>") for group in found.values() for each in group]
     if names:
         tags = " and ".join(f"<{tag}>" for tag, group in found.items() if group)

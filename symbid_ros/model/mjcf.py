@@ -23,6 +23,10 @@ def load_mjcf(path: Path) -> RobotModel:
     Where a branch of the tree ends in one ball that can touch something, such as a foot, its centre
     is a frame, too: it has the shape's name, or ``BODY_end``.
 
+    A joint follows another one, as URDF's mimic joints do, where an active ``<equality><joint>``
+    with a linear ``polycoef`` says so: ``joint1`` follows ``joint2``, or the reverse if only
+    ``joint1`` has a motor. Where both have one, the equality is ignored.
+
     The base floats if the root of the tree has a free joint. Bodies welded to the world (a
     floor, a table) are not part of a floating robot, and free bodies without joints, such as a box
     that a robot may grasp, of no robot.
@@ -107,6 +111,7 @@ class _Reader:
 
     FREE, BALL, SLIDE, HINGE = range(4)
     SPHERE, CAPSULE = 2, 3  # types of shapes
+    EQUAL_JOINTS = 2  # type of an equality
 
     def __init__(self, compiled: Any, source: str) -> None:
         self.m = compiled
@@ -261,6 +266,7 @@ class _Reader:
             float(m.dof_damping[m.jnt_dofadr[joint]]),
             float(m.dof_frictionloss[m.jnt_dofadr[joint]]),
             float(m.dof_armature[m.jnt_dofadr[joint]]),
+            self._mimics.get(joint),
             stiffness=float(m.jnt_stiffness[joint]),
             spring_reference=float(m.qpos_spring[m.jnt_qposadr[joint]]),
         )
@@ -279,6 +285,39 @@ class _Reader:
                 bounds.append(np.abs(m.actuator_forcerange[actuator]).max() * gear)
             efforts[m.actuator_trnid[actuator, 0]] += min(bounds)
         return efforts
+
+    @cached_property
+    def _mimics(self) -> dict[int, tuple[str, float, float]]:
+        """Joints that follow another one: its name, the multiplier and the offset.
+
+        MuJoCo measures both positions of an equality from their references:
+        q1 - ref1 = a0 + a1 (q2 - ref2).
+        """
+        m = self.m
+        leaders: dict[int, int] = {}
+        mimics = {}
+        linear = (m.eq_type == self.EQUAL_JOINTS) & (m.eq_obj2id >= 0) & (m.eq_active0 != 0)
+        linear &= np.all(m.eq_data[:, 2:5] == 0.0, axis=1) & (m.eq_data[:, 1] != 0.0)
+        pairs = np.stack([m.eq_obj1id, m.eq_obj2id], axis=1)
+        # A joint with a motor leads, so what it moves is found first.
+        driven = [bool(np.any(self._efforts[pair] > 0)) for pair in pairs * linear[:, None]]
+        for equality in sorted(np.flatnonzero(linear), key=lambda one: not driven[one]):
+            first, second = pairs[equality].tolist()
+            shift, slope = m.eq_data[equality, :2].tolist()
+            references = m.qpos0[m.jnt_qposadr[[first, second]]]
+            offset = float(references[0] + shift - slope * references[1])
+            for follower, leader, multiplier, constant in (
+                (first, second, slope, offset),
+                (second, first, 1.0 / slope, -offset / slope),
+            ):
+                end = leader
+                while end in leaders:
+                    end = leaders[end]
+                if follower not in leaders and end != follower and not self._efforts[follower] > 0:
+                    leaders[follower] = leader
+                    mimics[follower] = m.joint(leader).name, multiplier, constant
+                    break
+        return mimics
 
     def _joint_ids(self, body: int) -> range:
         first = int(self.m.body_jntadr[body])

@@ -48,11 +48,11 @@ MAX_MESH_BYTES = 64 << 20  # of all meshes that determine inertias
 
 # Only omitted elements are listed, so that MuJoCo rejects unknown ones.
 _OMITTED_SECTIONS = {
-    *("size", "visual", "statistic", "custom", "contact", "deformable", "equality", "tendon"),
-    *("sensor", "keyframe"),
+    *("size", "visual", "statistic", "custom", "contact", "deformable", "tendon", "sensor"),
+    "keyframe",
 }
 _OMITTED_PARTS = {
-    "default": {"material", "camera", "light", "pair", "equality", "tendon"},
+    "default": {"material", "camera", "light", "pair", "tendon"},
     "asset": {"texture", "material", "hfield", "skin"},
     "worldbody": {"camera", "light", "geom"},
 }
@@ -236,7 +236,7 @@ Shapes = Literal["none", "simple", "all"]
 
 
 def reduced_mjcf(root: Element, folder: Path, shapes: Shapes = "none") -> ReducedMjcf:
-    """Reduce a model to bodies, joints, inertias, sites, motors and some shapes.
+    """Reduce a model to bodies, joints and their equalities, inertias, sites, motors, some shapes.
 
     Shapes and their meshes always stay where a body takes its inertia from them.
 
@@ -280,6 +280,8 @@ def _section(section: ET.Element, shapes: Shapes) -> Element:
         copy.attrib = {key: value for key, value in section.items() if key == "gravity"}
     elif section.tag == "actuator":
         copy.extend(_copied(drive) for drive in section if "joint" in drive.attrib)
+    elif section.tag == "equality":
+        copy.extend(_copied(one) for one in section if one.tag == "joint")
     else:
         _copy_parts(section, copy, _OMITTED_PARTS.get(section.tag, set()), shapes)
     return copy

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.atomic_write import write_text
 from symbid_ros.bags import bag_log, count_messages, join_names
 from symbid_ros.choices import Base
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
@@ -81,8 +80,8 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     return setup
 
 
-def expand_xacro(file: Path, out: Path) -> None:
-    """Write the URDF that a xacro file describes. xacro evaluates Python expressions in the file.
+def expand_xacro(file: Path) -> str:
+    """Return the URDF that a xacro file describes. xacro evaluates Python expressions in the file.
 
     Raises
     ------
@@ -101,13 +100,15 @@ def expand_xacro(file: Path, out: Path) -> None:
     try:
         document = xacro.process_file(str(file))
     except Exception as error:  # expressions in the file may raise anything
-        reason = " ".join(str(error).split()) or type(error).__name__
+        # xacro's own text contains that of its cause twice.
+        cause = getattr(error, "exc", None) or error
+        reason = " ".join(str(cause).split()) or type(cause).__name__
         raise ModelError(
             f"{file}: xacro: {reason}; correct the file, and for $(find PACKAGE) source the "
             "workspace of the package",
             "E119",
         ) from None
-    write_text(out, document.toprettyxml(indent="  "))
+    return str(document.toprettyxml(indent="  "))
 
 
 @dataclass

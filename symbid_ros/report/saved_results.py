@@ -10,6 +10,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.estimate_file import load_estimate
+from symbid_ros.estimation.provenance import digest
 from symbid_ros.identification.prediction import ForcePredictor, load_result_robot
 from symbid_ros.identification.report_data import PredictedLog, ReportData, load_report_data
 from symbid_ros.identification.report_series import predicted_log
@@ -19,6 +20,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.report.robot_summary import RobotSummary, summarise_robot
 from symbid_ros.signals.log import Log
 
+MODEL_SUFFIXES = ".urdf", ".xml"
 METHOD_TITLES = {
     "ols": "OLS",
     "wls_r": "WLS-R",
@@ -111,7 +113,8 @@ def load_result(folder: Path, model: RobotModel | None = None) -> ReportedResult
         When a file is missing, malformed or of another robot.
     """
     if model is None:
-        model = load_result_robot(folder, load_estimate(folder / "estimate.json"))
+        estimate = load_estimate(folder / "estimate.json")
+        model = _with_shapes(load_result_robot(folder, estimate), estimate)
     found = load_estimated_model(folder, model)
     if found.estimate is None:
         raise EstimateError(
@@ -120,6 +123,21 @@ def load_result(folder: Path, model: RobotModel | None = None) -> ReportedResult
     return ReportedResult(
         found.estimate, found.parameters, found.deviation_factor, load_report_data(folder)
     )
+
+
+def _with_shapes(model: RobotModel, estimate: Estimate) -> RobotModel:
+    """Return the robot with the file that was identified as its source, if that is unchanged.
+
+    Its meshes lie beside or above that file, not beside the result's.
+    """
+    files = () if estimate.provenance is None else estimate.provenance.inputs
+    for one in files:
+        path = Path(one.path)
+        if one.path not in estimate.inputs or path.suffix not in MODEL_SUFFIXES:
+            continue
+        if path.is_file() and digest(path).sha256 == one.sha256:
+            return replace(model, source=one.path)
+    return model
 
 
 def with_forces_of(result: ReportedResult, folder: Path, log: Log) -> ReportedResult:

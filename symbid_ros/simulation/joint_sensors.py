@@ -29,7 +29,8 @@ class JointSensorOptions:
     )
     effort_noise: float = option(
         0.1,
-        "Standard deviation of the noise of efforts, in percent of each joint's largest effort.",
+        "Standard deviation of the noise of efforts, in percent of each joint's effort limit; "
+        "of twice what gravity may demand where the model has none.",
         unit="%",
         minimum=1e-6,
         maximum=100.0,

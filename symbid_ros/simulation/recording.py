@@ -1,6 +1,7 @@
 """Topics of the simulated robot, and their recording into a bag."""
 
-from collections.abc import Callable, Mapping
+import logging
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from dataclasses import replace as with_fields
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from symbid_ros.arrays import IntArray
+from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.bags import BagWriter, create_folder
 from symbid_ros.messages import types as messages
 from symbid_ros.messages.layout import Columns, Layout
@@ -17,7 +18,10 @@ from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import WrenchSensor
 from symbid_ros.simulation.systematic_errors import SampleRates
 
+logger = logging.getLogger(__name__)
+
 WORLD = "world"
+SLOWEST = 0.01  # rad/s or m/s; what slower joints carry is not judged
 BLOCK = 500  # instants encoded together: large enough to be efficient, small enough for progress
 
 # Message fields and the attributes of `Instant` that fill them.
@@ -142,6 +146,25 @@ def _wrench_fill(index: int) -> Fill:
     return fill
 
 
+def _report_noise(out: Path, names: Sequence[str], squares: FloatArray) -> None:
+    """Log the moving joints whose noise exceeds their efforts.
+
+    ``squares`` (3, J) are mean squares of efforts, their noise and velocities.
+    """
+    of_effort, of_noise, speed = np.sqrt(squares)
+    noisy = np.flatnonzero((of_noise > of_effort) & (of_effort > 0) & (speed > SLOWEST))
+    if len(noisy):
+        ratio = of_noise[noisy] / of_effort[noisy]
+        logger.warning(
+            "%s: the noise of efforts exceeds the efforts: %s; give a smaller `effort_noise`",
+            out,
+            ", ".join(
+                f"{names[index]} {one:.2g} times"
+                for index, one in zip(noisy.tolist(), ratio.tolist(), strict=True)
+            ),
+        )
+
+
 def record(
     simulator: SimulatedRobot,
     out: Path,
@@ -151,7 +174,8 @@ def record(
 ) -> dict[str, int]:
     """Simulate the motion and write its sensor and ground-truth topics to a bag.
 
-    The log time of a message is its stamp, so equal seeds give equal message payloads.
+    The log time of a message is its stamp, so equal seeds give equal message payloads. Moving
+    joints whose noise exceeds their efforts are logged.
 
     Parameters
     ----------
@@ -172,7 +196,7 @@ def record(
     topics = [*sensor_topics(simulator), *truth_topics(simulator)]
     with create_folder(out, replace=replace) as folder, BagWriter(folder) as bag:
         channels = [bag.add_topic(f"/{topic.name}", topic.layout.msgtype) for topic in topics]
-        done = 0
+        done, squares = 0, np.zeros((3, len(simulator.joint_names)))
         while done < simulator.steps:
             instants = [simulator.step() for _ in range(min(BLOCK, simulator.steps - done))]
             stamps = np.array([instant.stamp for instant in instants])
@@ -182,6 +206,9 @@ def record(
                 if field.name != "stamp"
             }
             block = with_fields(instants[0], **arrays)
+            noise = block.joint_effort - block.true_effort
+            signals = block.true_effort, noise, block.true_velocity
+            squares += [np.sum(each**2, axis=0) for each in signals]
             payloads = []
             for topic in topics:
                 records = topic.layout.records(len(instants))
@@ -194,4 +221,5 @@ def record(
             done += len(instants)
             if progress is not None:
                 progress(done, simulator.steps)
+    _report_noise(out, simulator.joint_names, squares / max(simulator.steps, 1))
     return bag.counts

@@ -111,7 +111,8 @@ FEEDBACK_NOISE = 0.05  # rad/s
 FEEDBACK_DELAY = 3  # periods
 # Time for feet and support to take the load before the motion starts; not part of the log.
 SETTLING_TIME = 1.0  # s
-# The robot has fallen when its base is below this fraction of its initial height.
+# The robot has fallen when its base is below this fraction of its initial height, or of the lowest
+# height that the motion reaches.
 FALL_HEIGHT = 0.7
 
 
@@ -127,11 +128,17 @@ class Scenario:
         Holds the base; None if the robot stands.
     duration : float
         Seconds.
+    lowest : float
+        Lowest height of the base, m, that the motion reaches, if that is below the first one.
+    another : str
+        How the user gets another motion.
     """
 
     controller: Controller
     support: OverheadSupport | None
     duration: float
+    lowest: float = np.inf
+    another: str = "choose another motion seed"
 
 
 def require_seed(name: str, seed: int) -> None:
@@ -281,7 +288,7 @@ class ScenarioRun:
 
     def __init__(self, plant: Plant, scenario: Scenario) -> None:
         self._plant, self._scenario = plant, scenario
-        self._lowest = FALL_HEIGHT * float(plant.data.qpos[2])
+        self._lowest = FALL_HEIGHT * min(float(plant.data.qpos[2]), scenario.lowest)
         self.steps = round(scenario.duration / plant.period)
         self.torques = np.zeros(plant.model.nu)
 
@@ -321,15 +328,15 @@ class ScenarioRun:
         truth = plant.advance(self.torques)
         if state.position[2] < self._lowest:
             raise RobotFailureError(
-                "the robot fell", time, "choose another motion seed or a lighter payload", "E612"
+                "the robot fell", time, f"{scenario.another} or a lighter payload", "E612"
             )
         joint = plant.joint_at_limit
         if joint is not None:
             raise RobotFailureError(
                 f"joint {joint} ran into its end stop",
                 time,
-                "no sensor measures the force there: widen the joint's range in the MJCF or "
-                "choose another motion seed",
+                "no sensor measures the force there: widen the joint's range in the model or "
+                f"{scenario.another}",
                 "E613",
             )
         return truth

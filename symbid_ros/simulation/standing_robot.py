@@ -39,6 +39,7 @@ POINT_RADIUS, CORNER_RADIUS = 0.001, 0.005
 # without armature vibrate at a period of 1 ms.
 FREQUENCY, DAMPING_RATIO = 20.0, 0.3  # rad/s
 VELOCITY_NOISE = 5e-3  # rad/s or m/s
+ANOTHER = "design another trajectory by `symbid excite` with `seed`, give a smaller `truth_percent`"
 
 
 class StandingSimulator:
@@ -108,7 +109,9 @@ class StandingSimulator:
         self._every = max(1, round(1 / (sensors.rate * PERIOD)))
         self.period_ns = round(self._every * PERIOD * 1e9)
         controller = JointFollower(plant, trajectory, len(feet))
-        self._run = ScenarioRun(plant, Scenario(controller, None, trajectory.duration))
+        lowest = float(trajectory.base[:, 2].min())
+        scenario = Scenario(controller, None, trajectory.duration, lowest, ANOTHER)
+        self._run = ScenarioRun(plant, scenario)
         self.steps = self._run.steps // self._every
         order = [truth.joint_names.index(name) for name in plant.joint_names]
         driven = np.isin(np.arange(6, plant.model.nv), plant.driven)

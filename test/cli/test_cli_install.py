@@ -45,6 +45,13 @@ def test_deviations_are_those_of_the_estimate(symbid_here, found) -> None:
     assert "R_kfe/viscous" in names
 
 
+def test_a_terminal_of_another_encoding_shows_what_it_can(symbid, found, monkeypatch) -> None:
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    ended = symbid("diff", found)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "R_shank" in ended.stdout
+
+
 def test_a_star_marks_what_changed_where_nothing_is_bold(capsys) -> None:
     def link(name: str, size: float) -> LinkChange:
         std = (0.01 * size,) * 3

@@ -303,12 +303,26 @@ def test_xacro_is_expanded_beside_the_file(symbid_here, log, tmp_path) -> None:
     np.testing.assert_allclose(
         load_model(found["model"]).phi, load_model(config_file("symbitron.urdf")).phi
     )
+    again = symbid_here(*call, "--out", tmp_path / "second.yaml")
+    assert again.returncode == 0, again.stderr
+    expanded = found["model"].read_text()
+    found["model"].write_text("<robot name='mine'/>")
+    refused = symbid_here(*call, "--out", tmp_path / "third.yaml")
+    assert (refused.returncode, "--overwrite" in refused.stderr) == (2, True)
+    assert found["model"].read_text() == "<robot name='mine'/>"
+    found["model"].write_text(expanded)
     other = tmp_path / "other"
     failed = symbid_here(*call[:-1], tmp_path / "no bag", "--out", other / "robot.yaml")
     assert (failed.returncode, other.exists() and [*other.iterdir()]) == (2, [])
     (tmp_path / "exo.urdf.xacro").write_text('<robot xmlns:xacro="x"><xacro:nothing/></robot>')
     ended = symbid_here(*call, "--out", tmp_path / "robot.yaml", "--overwrite")
     assert (ended.returncode, "xacro: " in ended.stderr) == (2, True)
+    (tmp_path / "exo.urdf.xacro").write_text(
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:include filename="$(find nosuch)/part.xacro"/></robot>'
+    )
+    ended = symbid_here(*call, "--out", tmp_path / "robot.yaml", "--overwrite")
+    assert (ended.returncode, ended.stderr.count("AMENT_PREFIX_PATH")) == (2, 1)
 
 
 ARM = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint")

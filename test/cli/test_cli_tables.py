@@ -93,6 +93,14 @@ def test_a_wide_table_continues_below_with_complete_names_and_numbers(width, cap
     assert numbers == cells
 
 
+def test_a_long_name_stays_in_one_line_if_the_table_fits(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    name = "wam/shoulder_pitch_link"
+    print_table(Console(), "link", (("kg",), ("determined",)), [(name, ["1.0", "3 of 10"])])
+    (line,) = [one for one in capsys.readouterr().out.splitlines() if "wam" in one]
+    assert line.split() == [name, "1.0", "3", "of", "10"]
+
+
 class TestMetricsTable:
     methods = (
         MethodResult("prior", None, dict.fromkeys((m.key for m in METRICS), 12.3)),

@@ -17,6 +17,7 @@ from symbid_ros.diagnosis.forces import (
     _similar_groups,
     _wrench_findings,
     check_forces,
+    common_unit,
     reversed_imu_finding,
 )
 from symbid_ros.diagnosis.gain_problem import GainEstimate
@@ -324,8 +325,8 @@ def test_the_line_for_a_robot_file_names_every_joint_with_its_number():
     for one in found:
         assert 'write effort_scale: ["0:=0.1", "1:=5"] in robot.yaml' in one.message
         assert "give `drive_gain` 0,1 to identify" in one.message
-    (every,) = _effort_findings("/joints", known(1e-3, 1.1e-3, 0.9e-3), 1.0, ["x"])
-    assert 'effort_scale: ["0:=0.001", "1:=0.0011", "2:=0.0009", "x:=0.001"]' in every.message
+    (every,) = _effort_findings("/joints", known(1e-3, 1.3e-3, 0.9e-3), 1.0, ["x"])
+    assert 'effort_scale: ["0:=0.001", "1:=0.0013", "2:=0.0009", "x:=0.001"]' in every.message
     assert "give `drive_gain` all to" in every.message
 
 
@@ -349,3 +350,16 @@ def test_similar_errors_are_one_group():
     reads = {"a": 4.0, "b": 2.0, "c": 3.1, "d": 6.0, "e": 0.1, "f": 6.5}
     assert list(_similar_groups(reads)) == [["e"], ["b", "c"], ["a", "d"], ["f"]]
     assert list(_similar_groups({})) == []
+
+
+@pytest.mark.parametrize(
+    ("factors", "unit"),
+    [
+        ((0.000903, 0.000983, 0.00095), 1e-3),  # masses of the model err by some percent
+        ((0.00085, 0.00122, 0.001), None),  # they differ from each other
+        ((0.00130, 0.00132, 0.00131), None),  # they agree on something else
+        ((0.001, 0.001), None),  # two may agree by chance
+    ],
+)
+def test_factors_that_agree_on_a_power_of_ten_are_a_unit(factors, unit):
+    assert common_unit(factors) == (None if unit is None else pytest.approx(unit))

@@ -36,6 +36,29 @@ def findings(joints, model=None, during=None):
     return check.findings(model)
 
 
+@pytest.mark.parametrize("every", [2, 3])
+def test_two_publishers_of_one_topic_are_named_alone(every):
+    """The second one publishes zeros between the messages of the first one."""
+    joints = swinging(amplitude=0.02)
+    joints = replace(joints, position=joints.position + 0.4)
+    other = np.arange(COUNT) % every == 0
+    zeros = [np.where(other[:, None], 0.0, one) for one in (joints.position, joints.velocity)]
+    (found,) = findings(replace(joints, position=zeros[0], velocity=zeros[1]))
+    assert (found.kind, found.severity) == (Kind.TWO_PUBLISHERS, Severity.UNUSABLE)
+    assert found.figures["jumps"] > 0.8 * COUNT * (1 if every == 2 else 1 / 3)
+
+
+def test_noise_and_wrapped_angles_are_not_two_publishers():
+    rng = np.random.default_rng(0)
+    joints = swinging()
+    noisy = joints.position + 0.5 * rng.normal(size=joints.position.shape)
+    wrapped = np.remainder(joints.position, 2 * np.pi)
+    wrapped += np.where(np.arange(COUNT)[:, None] % 2, 2 * np.pi, 0.0)
+    for position in (noisy, wrapped):
+        kinds = {one.kind for one in findings(replace(joints, position=position))}
+        assert Kind.TWO_PUBLISHERS not in kinds
+
+
 @pytest.mark.parametrize(
     ("scale", "kind", "severity", "says"),
     [

@@ -1,5 +1,6 @@
 """Distances between links against hand calculations and against Coal."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pinocchio
 import pytest
 from documented_robots import ur5_urdf
 
+from symbid_ros.errors import OptionError
 from symbid_ros.excitation.clearance import SCALE, Clearance
 from symbid_ros.excitation.optimizer import TrajectoryOptimizer
 from symbid_ros.excitation.options import ExciteOptions
@@ -77,6 +79,38 @@ def test_a_floor_is_against_gravity_and_neighbours_are_not_compared(chain):
     assert clearance.smallest(postures[:1])[1] == "floor and lower"
     # On a floor that all postures touch nothing is left to compare but the base and the hand.
     assert "always close" in Clearance(chain, 0.05, postures, floor=0.0).remarks[-1]
+
+
+def cramped(path, radius, at):
+    """Write a robot like the chain, whose last ball surrounds a point at (at, 0, 0) of its link."""
+    links = [
+        BALL.format(name="base", at="0 0 0", radius=0.2),
+        BALL.format(name="upper", at="0.5 0 0", radius=0.05),
+        BALL.format(name="lower", at=f"{at} 0 0", radius=radius),
+    ]
+    joints = [
+        JOINT.format(name="one", parent="base", child="upper", at="0 0 0", axis=0, up=1),
+        JOINT.format(name="two", parent="upper", child="lower", at="1 0 0", axis=0, up=1),
+    ]
+    path.write_text(f"<robot name='cramped'>{''.join(links + joints)}</robot>")
+    return load_model(path, "fixed")
+
+
+def test_links_that_touch_about_the_middle_of_the_ranges_do_not_prevent_a_plan(tmp_path):
+    """They move apart only when the elbow is bent by more than 1.5 of 3 rad."""
+    robot = cramped(tmp_path / "robot.urdf", 0.85, -0.4)
+    problem = excitation_problem(robot, ExciteOptions(), JointSensorOptions())
+    assert "base and lower" in " ".join(problem.unchecked)
+    assert TrajectoryOptimizer(problem.design, 0).draw() is not None
+
+
+def test_an_impossible_plan_names_the_closest_links(chain):
+    options = ExciteOptions(clearance=0.02)
+    problem = excitation_problem(chain, options, JointSensorOptions())
+    everywhere = Clearance(chain, 3.0, np.zeros((0, 2)))
+    with pytest.raises(OptionError, match=r"base and lower are .* mm apart") as error:
+        TrajectoryOptimizer(replace(problem.design, clearance=everywhere), 0).run(1, 1)
+    assert error.value.code == "E584"
 
 
 def test_a_designed_trajectory_keeps_coals_distances_and_the_floor():

@@ -245,6 +245,18 @@ def test_efforts_are_those_of_an_arm_on_its_wall(arm):
     np.testing.assert_allclose(samples.base_specific_force, [[-9.81, 0, 0]] * len(samples))
 
 
+def test_an_impossible_plan_names_the_joint_that_is_too_weak(arm):
+    weak = tuple(
+        replace(joint, effort=1e-3) if joint.name == "elbow_joint" else joint
+        for joint in arm.joints
+    )
+    options = ExciteOptions(no_collision=True)
+    problem = excitation_problem(replace(arm, joints=weak), options, SENSORS)
+    with pytest.raises(OptionError, match="the effort of elbow_joint uses") as error:
+        TrajectoryOptimizer(problem.design, 0).run(1, 1)
+    assert error.value.code == "E584"
+
+
 @pytest.mark.parametrize(
     ("base", "options", "code"),
     [

@@ -223,6 +223,34 @@ def test_the_true_robot_stands_while_it_follows_the_plan(plans, name):
     assert np.all(error < 0.25 * np.sqrt(np.mean(wanted**2, axis=0)))
 
 
+def test_a_robot_that_crouches_as_planned_has_not_fallen(plans, tmp_path):
+    """Nor does a robot that is lower than at first, as long as the plan is."""
+    _, plan = plans["solo"]
+    crouch = np.zeros_like(plan.coefficients)
+    at_start = plan.problem.design.series.basis(np.zeros(1))[0, 0]
+    cosine = int(np.flatnonzero(at_start)[1])
+    crouch[[0, cosine], 2] = -0.19, -0.19  # from standing to 0.62 times that height, and back
+    write_plan(ExcitationPlan(plan.problem, crouch, crouch), tmp_path / "crouch")
+    simulator = standing_simulator(
+        plan.joints.model,
+        tmp_path / "crouch",
+        truth=TruthOptions(truth_percent=0.0),
+        has_friction=False,
+        sensors=SENSORS,
+        base_sensors=BaseSensorOptions(),
+        seed=None,
+    )
+    height = np.array([simulator.step().base_position[2] for _ in range(simulator.steps)])
+    assert height.min() < 0.65 * height[0]
+    _, _, planned = np.array(
+        [
+            [float(row[f"base/{axis}"]) for axis in "xyz"]
+            for row in csv.DictReader((tmp_path / "crouch" / "trajectory.csv").open())
+        ]
+    ).T
+    assert height.min() == pytest.approx(planned.min(), rel=0.03)
+
+
 def test_the_true_robot_does_not_depend_on_the_trajectory_that_it_follows(plans):
     folder, plan = plans["solo"]
 
@@ -285,6 +313,12 @@ def test_a_stance_that_is_none_is_refused(request, robot, options, code):
     with pytest.raises((ModelError, OptionError)) as error:
         excitation_problem(request.getfixturevalue(robot), ExciteOptions(**options), SENSORS)
     assert error.value.code == code
+
+
+def test_a_foot_that_is_taken_for_a_sole_is_named_with_the_remedy(solo):
+    uneven = ("FL_UPPER_LEG", "FR_FOOT:point", "HL_FOOT:point", "HR_FOOT:point")
+    with pytest.raises(ModelError, match="give FL_UPPER_LEG:point in `feet`"):
+        excitation_problem(solo, ExciteOptions(feet=uneven), SENSORS)
 
 
 def test_a_plan_of_another_robot_is_refused(plans, symbitron, tmp_path):

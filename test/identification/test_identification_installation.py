@@ -10,15 +10,18 @@ import pinocchio
 import pytest
 import xacro
 import yaml
+from arm_log import arm_streams
 from expected_errors import raises_code
 from written_results import write_result
 
+import symbid_ros as sy
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification import installation
 from symbid_ros.identification.installation import inertials_yaml, install, unheld_terms
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
+from symbid_ros.signals.log import Log
 
 ROBOTS = Path(pinocchio.__file__).parents[4] / "share/example-robot-data/robots"
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "install-result.md"
@@ -66,6 +69,24 @@ def test_only_numbers_of_inertials_change_and_the_earlier_file_is_kept(ur5, tmp_
     for words in (b"2026-03-01", b"map_lmi", b"my_bag_0.mcap (sha256 abababababab)"):
         assert words in comment
     require_same_links(ur5, identified)
+
+
+def test_a_link_of_which_the_log_tells_nothing_keeps_every_digit(ur5, tmp_path) -> None:
+    robot = load_model(ur5, "fixed")
+    log = Log.from_streams(arm_streams(robot, 12.0, 1))
+    found = sy.identify(robot, log, no_holdout=True)
+    base = [index for index, name in enumerate(found.estimate.names) if "base_link/" in name]
+    np.testing.assert_array_equal(found.estimate.value[base], found.estimate.prior[base])
+    found.save(tmp_path / "result")
+    before = ur5.read_text()
+    install(tmp_path / "result", ur5)
+
+    def inertial(text: str, link: str) -> str:
+        start = text.index("<inertial>", text.index(f'<link name="{link}">'))
+        return text[start : text.index("</inertial>", start)]
+
+    assert inertial(ur5.read_text(), "base_link") == inertial(before, "base_link")
+    assert inertial(ur5.read_text(), "forearm_link") != inertial(before, "forearm_link")
 
 
 def test_pinocchio_reads_the_identified_inertias(ur5, tmp_path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from drive_logs import samples_of
 from tree_simulation import TreeSimulation
 
+import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.options import IdentifyOptions
@@ -110,6 +111,17 @@ def test_the_data_choose_the_terms_of_measured_joints_alone(gripper):
     assert not estimate.joint_terms[FINGERS[1]]
     fixed = {name for name in estimate.names if name.startswith(FINGERS[1])}
     assert fixed <= estimate.fixed
+
+
+def test_a_validation_does_not_miss_a_mimic_joint(gripper, tmp_path):
+    """Its load is judged at its leader."""
+    folder, _ = gripper
+    robot = load_model(folder / "robot.urdf", "fixed")
+    found = sy.identify(robot, sy.load_bag(folder / "log", robot), joint_terms=("none",))
+    found.save(tmp_path / "result")
+    judged = sy.validate(tmp_path / "result", sy.load_bag(folder / "other"))
+    assert FINGERS[1] not in judged.not_judged
+    assert any(FINGERS[0] in one.name for one in judged.coordinates)
 
 
 def test_friction_that_the_file_states_of_followers_is_that_of_their_leader():

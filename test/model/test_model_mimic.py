@@ -1,7 +1,7 @@
 """Mimic joints follow their leaders; ignored elements of an MJCF are reported."""
 
 import re
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import mujoco
 import numpy as np
@@ -142,6 +142,13 @@ def test_both_formats_write_mimic_joints(gripper, tmp_path):
     again.write_text(urdf_text(gripper))
     base = "floating" if gripper.floating else "auto"
     assert load_model(again, base).followers == gripper.followers
+    own = tmp_path / "again.xml"
+    own.write_text(mjcf_text(gripper))
+    found = load_model(own).followers
+    assert found.keys() == gripper.followers.keys()
+    for joint, mimic in gripper.followers.items():
+        assert astuple(found[joint]) == pytest.approx(astuple(mimic))
+    assert load_model(own).measured_joint_names == ("master",)
     compiled = mujoco.MjModel.from_xml_string(mjcf_text(gripper))
     data = mujoco.MjData(compiled)
     first = compiled.nq - 3
@@ -166,6 +173,71 @@ def test_mimic_joints_follow_in_mujoco_whatever_their_references(gripper):
         mujoco.mj_forward(compiled, data)
         equal = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
         np.testing.assert_allclose(data.efc_pos[equal], [0, 0], atol=1e-12)
+
+
+HAND = """<mujoco><default><equality solref=".001 1" solimp=".9999 .9999"/></default>
+  <option gravity="0 0 -9.81"/>
+  <worldbody><body name="palm"><geom size=".1" contype="0" conaffinity="0"/>
+    <body name="left"><joint name="l" axis="0 1 0" ref=".2" damping=".3"/>
+      <geom size=".02" pos=".1 0 0"/>
+      <body name="tip" pos=".2 0 0"><joint name="t" type="slide" axis="1 0 0"/>
+        <geom size=".02"/></body></body>
+    <body name="right"><joint name="r" axis="0 1 0" ref="-.1"/>
+      <geom size=".03" pos=".1 .2 0"/></body></body></worldbody>
+  <equality><joint joint1="t" joint2="r" polycoef=".01 .1 0 0 0"/>
+    <joint name="pair" joint1="l" joint2="r" polycoef=".05 -2 0 0 0"/></equality>
+  <actuator><motor name="drive" joint="l" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
+def test_joints_that_an_mjcf_couples_follow_the_one_with_a_motor_as_in_mujoco(tmp_path, caplog):
+    (tmp_path / "hand.xml").write_text(HAND)
+    robot = load_model(tmp_path / "hand.xml")
+    assert robot.measured_joint_names == ("l",)
+    assert caplog.text == ""
+    compiled = mujoco.MjModel.from_xml_string(HAND)
+    data = mujoco.MjData(compiled)
+    compiled.opt.timestep = 1e-4
+    data.ctrl[:] = 1.0
+    parameters = ParameterSet(robot)
+    for step in range(2000):
+        mujoco.mj_step(compiled, data)
+        if step < 200 or step % 100:
+            continue
+        mujoco.mj_forward(compiled, data)
+        motion = [array.copy()[None] for array in (data.qpos, data.qvel, data.qacc)]
+        np.testing.assert_allclose(robot.apply_mimics(motion[0]), motion[0], atol=1e-3)
+        rows = regressor(robot, *motion) @ parameters.values[: parameters.inertial]
+        motor = 1.0 - 0.3 * data.qvel[0]
+        assert rows[0, robot.joint_names.index("l")] == pytest.approx(motor, abs=2e-3)
+    assert abs(data.qpos[0] - 0.2) > 0.05
+
+
+@pytest.mark.parametrize(
+    ("equality", "motors"),
+    [
+        ('joint1="l" joint2="r" active="false"', ""),
+        ('joint1="l" joint2="r" polycoef="0 1 2 0 0"', ""),
+        ('joint1="l" polycoef=".1 0 0 0 0"', ""),
+        ('joint1="l" joint2="r"', '<motor joint="r"/>'),
+    ],
+)
+def test_an_equality_that_is_not_a_mimic_joint_is_named(equality, motors, tmp_path, caplog):
+    pair = 'name="pair" joint1="l" joint2="r" polycoef=".05 -2 0 0 0"'
+    text = HAND.replace(pair, f'name="pair" {equality}').replace(
+        "</actuator>", f"{motors}</actuator>"
+    )
+    (tmp_path / "hand.xml").write_text(text)
+    robot = load_model(tmp_path / "hand.xml")
+    assert robot.measured_joint_names == ("l", "r")
+    assert "<equality> are ignored: pair;" in caplog.text
+
+
+def test_joints_coupled_in_a_circle_are_read_once(tmp_path, caplog):
+    again = '</equality><equality><joint name="again" joint1="l" joint2="t"/></equality>'
+    (tmp_path / "hand.xml").write_text(HAND.replace("</equality>", again))
+    assert load_model(tmp_path / "hand.xml").measured_joint_names == ("l",)
+    assert "<equality> are ignored: " in caplog.text
+    assert len(caplog.records) == 1
 
 
 @pytest.mark.parametrize(
@@ -209,7 +281,7 @@ def test_equalities_tendons_and_massless_links_are_reported(tmp_path, caplog):
       <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
       <body name="left"><joint name="l"/><geom size=".1"/></body>
       <body name="right"><joint name="r"/><geom size=".1"/></body></body></worldbody>
-      <equality><joint name="same" joint1="l" joint2="r"/></equality>
+      <equality><joint name="same" joint1="l" joint2="r" polycoef="0 1 1"/></equality>
       <tendon><fixed name="cord"><joint joint="l" coef="1"/></fixed></tendon></mujoco>"""
     (tmp_path / "robot.xml").write_text(text)
     load_model(tmp_path / "robot.xml")

@@ -13,6 +13,7 @@ from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.simulation.joint_sensors import JointSensorOptions
 from symbid_ros.simulation.joint_trajectory import JointTrajectory, read_trajectory
+from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.tracking import TrackingSimulator, centre_damping, effort_capacity
 
 NAMES = "shoulder_lift_joint", "elbow_joint", "wrist_2_joint"
@@ -185,3 +186,18 @@ def test_damping_out_of_proportion_is_refused(arm, trajectory):
     with pytest.raises(SimulationError, match="out of proportion") as error:
         run(stated, stated, trajectory, seed=None)
     assert error.value.code == "E684"
+
+
+def test_noise_that_exceeds_the_efforts_is_named(arm, trajectory, tmp_path, caplog):
+    """A wrist that carries little may have a drive with a large limit."""
+    named = []
+    for percent in (0.1, 20.0):
+        sensors = JointSensorOptions(effort_noise=percent)
+        options = {"sensors": sensors, "capacity": effort_capacity(arm), "seed": 0}
+        caplog.clear()
+        record(TrackingSimulator(arm, arm, trajectory, **options), tmp_path / f"log_{percent}")
+        named.append(caplog.text)
+    assert named[0] == ""
+    assert "noise of efforts exceeds the efforts: " in named[1]
+    assert "wrist_2_joint" in named[1]
+    assert "shoulder_lift_joint" not in named[1]

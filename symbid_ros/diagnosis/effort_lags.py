@@ -1,0 +1,67 @@
+"""Rows with the efforts of other instants, from which a delay of any size follows.
+
+Columns of derivatives hold for small delays only: Coulomb friction jumps where a joint reverses.
+The delay is therefore found in steps, each from the rows with the efforts shifted by the last one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.sensor_samples import SensorSamples
+
+STEP = 0.01  # s between lags
+LAGS = STEP * np.array([*range(-8, 0), *range(1, 9)])  # (L,) s
+
+
+def lagged_efforts(layout: GainLayout, model: RobotModel, readings: SensorSamples) -> FloatArray:
+    """Return (N, n, L) by how much the efforts differ from those that are read a lag later."""
+    columns = np.zeros((len(readings), model.dof, len(LAGS)))
+    time = (readings.stamp - readings.stamp[0]) * 1e-9
+    for place in layout.driven:
+        effort = np.nan_to_num(readings.effort[:, place])
+        for index, lag in enumerate(LAGS):
+            later = np.interp(time + lag, time, effort)
+            columns[:, 6 * model.floating + place, index] = later - effort
+    return columns
+
+
+@dataclass
+class LaggedRows:
+    """Rows in p + r unknowns, and in the shares of L lags by which the efforts are shifted.
+
+    Attributes
+    ----------
+    rows : CoordinateRows
+        The columns of the lags come last.
+    delay : int
+        The unknown that is the delay of the efforts.
+    """
+
+    rows: CoordinateRows
+    delay: int
+
+    @property
+    def unshifted(self) -> CoordinateRows:
+        """The rows in p + r unknowns, as they were read."""
+        return self.rows.combined(np.eye(self.rows.structure.shape[1])[:, : -len(LAGS)])
+
+    def shifted(self, delay: float) -> CoordinateRows:
+        """Return the rows after the efforts are read so much later, s; lags limit the shift."""
+        q = self.rows.structure.shape[1]
+        largest = LAGS[-1] - STEP
+        at = float(np.clip(delay, -largest, largest))
+        shift = np.zeros(q)
+        shift[-len(LAGS) :] = _shares(at)
+        change = np.eye(q)[:, : -len(LAGS)]
+        change[self.delay, self.delay] = 0.0
+        change[-len(LAGS) :, self.delay] = (_shares(at + STEP) - _shares(at - STEP)) / (2 * STEP)
+        return self.rows.combined(change, shift)
+
+
+def _shares(delay: float) -> FloatArray:
+    """Return the shares (L,) of the lags that interpolate a delay linearly."""
+    return np.maximum(1 - np.abs(LAGS - delay) / STEP, 0.0)
