@@ -13,8 +13,7 @@ from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.force_errors import RELEVANT
 from symbid_ros.identification.gain_check import Trial, wrist_sensor_alarms, wrong_factors
-from symbid_ros.identification.joint_alarms import with_joint_alarms
-from symbid_ros.identification.likely_cause import explained
+from symbid_ros.identification.joint_alarms import with_explained_alarms
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.report_data import ForceSeries
@@ -95,7 +94,7 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
         if wrong is not None:
             alarm = wrong.alarm
             problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
-    found = problem.with_provenance(with_joint_alarms(problem, explained(problem, found)))
+    found = problem.with_provenance(with_explained_alarms(problem, found))
     for one in wrist_sensor_alarms(problem):
         found = _with_alarm(found, one)
     if alarm is not None:

@@ -8,6 +8,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.unexplained import force_text
 from symbid_ros.identification.joint_readings import find_readings
+from symbid_ros.identification.likely_cause import WRONG_READINGS, explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.tree import RobotModel
@@ -20,27 +21,32 @@ ALL, FEWEST_ROWS, NOISE = 0.9, 20, 0.1
 OPPOSED = -0.3
 
 
-def with_joint_alarms(problem: LoadedProblem, found: Identification) -> Identification:
-    """Return an identification with alarms about single joints.
+def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Identification:
+    """Return an identification with alarms about single joints, and likely causes of all alarms.
 
-    They are about joints of a fixed base that move and whose effort is not predicted at all. If
-    there is any alarm, the log is searched for joints that it exchanges or reverses.
+    Alarms about joints are those of a fixed base that move and whose effort is not predicted at
+    all. If there is any alarm, the log is searched for joints that it exchanges or reverses; if
+    there are any, no other cause is tried, because their readings would distort it.
     """
     verdict = found.estimate.verdict
     if verdict is None:
         return found
     model = problem.solver.problem.parameters.model
     if model.floating:  # noise of wrenches adds to that of efforts
-        return found
-    alarms, named = [*verdict.alarms], set[str]()
+        return explained(problem, found)
+    named, added = set[str](), []
     unpredicted = _unpredicted(problem, found)
-    if (alarms or unpredicted) and not problem.options.drive_gains:
+    readings = None
+    if (verdict.alarms or unpredicted) and not problem.options.drive_gains:
         readings = find_readings(tuple(problem.dataset.segments), model)
-        if readings is not None:
-            alarms.append(readings.alarm)
-            named = {*readings.exchanged, *readings.reversed_joints}
-    alarms += [alarm for name, alarm in unpredicted.items() if name not in named]
-    verdict = replace(verdict, alarms=tuple(alarms))
+    if readings is not None:
+        added.append(readings.alarm)
+        named = {*readings.exchanged, *readings.reversed_joints, *readings.reversed_efforts}
+    found = explained(problem, found, "" if readings is None else WRONG_READINGS)
+    verdict = found.estimate.verdict
+    assert verdict is not None
+    added += [alarm for name, alarm in unpredicted.items() if name not in named]
+    verdict = replace(verdict, alarms=(*verdict.alarms, *added))
     return replace(found, estimate=replace(found.estimate, verdict=verdict))
 
 

@@ -37,6 +37,9 @@ WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of
 WRONG_EFFORTS = (
     "the factors of the efforts that another alarm names may explain it; correct these first"
 )
+WRONG_READINGS = (
+    "the wrong readings of joints that another alarm names may explain it; correct these first"
+)
 EFFECTS = {
     "viscous": "viscous friction",
     "warming": "viscous friction that changes during the log",
@@ -101,13 +104,15 @@ class Cause:
         return WARM if self.kind == "warming" else NO_OPTION
 
 
-def explained(problem: LoadedProblem, found: Identification) -> Identification:
+def explained(
+    problem: LoadedProblem, found: Identification, known_cause: str = ""
+) -> Identification:
     """Return an identification whose alarms name their likely cause.
 
     Joints that the log lacks are named beside any alarm; other causes are tried for correlated
-    residuals.
+    residuals, unless their cause is known.
     """
-    found = _with_tried_causes(problem, found)
+    found = _with_tried_causes(problem, found, known_cause)
     verdict = found.estimate.verdict
     if verdict is None or not verdict.alarms:
         return found
@@ -136,12 +141,16 @@ def held_joints(names: tuple[str, ...], segments: Iterable[Segment]) -> list[str
     return [] if first is None else [names[index] for index in np.flatnonzero(is_held)]
 
 
-def _with_tried_causes(problem: LoadedProblem, found: Identification) -> Identification:
+def _with_tried_causes(
+    problem: LoadedProblem, found: Identification, known_cause: str
+) -> Identification:
     """Return an identification whose alarm of correlated residuals names their likely cause."""
     verdict = found.estimate.verdict
     if verdict is None or not verdict.is_coloured or not verdict.unexplained:
         return found
     worst = verdict.unexplained[0]
+    if known_cause:
+        return _with_cause(found, "", known_cause)
     if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
         return _with_cause(found, "", WRONG_EFFORTS)
     try:
