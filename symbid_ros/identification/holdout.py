@@ -27,7 +27,7 @@ from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import validate_segments
 from symbid_ros.identification.warming import during
 from symbid_ros.progress import report
-from symbid_ros.signals.segments import RemoteSegments, Segment, split
+from symbid_ros.signals.segments import HELD_OUT, RemoteSegments, Segment, split
 from symbid_ros.signals.weak_form import WINDOWS
 
 # Instants between which postures are compared, s, and over which speeds are measured.
@@ -81,7 +81,8 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
         try:
             checked, forces = _hold_out(problem, found.window, log.begin)
         except SymbidError as error:
-            checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {error}")
+            reason = _rest_at_end(problem) or str(error)
+            checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {reason}")
         if checked.advice in NOT_BETTER and problem.options.is_empirical:
             better = _with_kept_prior(problem, checked, log.begin)
             if better is not None:
@@ -207,6 +208,23 @@ def _hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOu
         file_percents=found.file_percents,
     )
     return checked, forces
+
+
+def _rest_at_end(problem: LoadedProblem) -> str:
+    """Say that no joint of a fixed base moves in the end of the log; empty if one does."""
+    segments = problem.dataset.segments
+    if problem.parameters.model.floating or isinstance(segments, RemoteSegments):
+        return ""
+    trace = PositionTrace()
+    for _ in trace.of(segments):
+        pass
+    stamp, position = np.concatenate(trace.stamps), np.concatenate(trace.positions)
+    is_away = np.any(np.abs(position - position[-1]) > REST, axis=1)
+    ended = stamp[is_away][-1] if is_away.any() else stamp[0]
+    rest = 1e-9 * float(stamp[-1] - ended)
+    if rest < HELD_OUT * 1e-9 * float(stamp[-1] - stamp[0]):
+        return ""
+    return f"the joints rest in its last {rest:.0f} s; leave these out with `stop`"
 
 
 def repeated_share(training: Iterable[Segment], held_out: Iterable[Segment]) -> float:

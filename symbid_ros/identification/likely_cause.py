@@ -17,6 +17,7 @@ from symbid_ros.diagnosis.timing import SLOWEST, TOLERANCE
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
 from symbid_ros.estimation.verdict import coloured_alarm
+from symbid_ros.identification.brief_disturbance import brief_disturbance
 from symbid_ros.identification.candidate_causes import GROUPS, Candidate, CandidateRows
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.solver import Identification
@@ -110,7 +111,7 @@ def explained(
     """Return an identification whose alarms name their likely cause.
 
     Joints that the log lacks are named beside any alarm; other causes are tried for correlated
-    residuals, unless their cause is known.
+    residuals, unless their cause is known. A brief disturbance comes first of all alarms.
     """
     found = _with_tried_causes(problem, found, known_cause)
     verdict = found.estimate.verdict
@@ -151,12 +152,15 @@ def _with_tried_causes(
     worst = verdict.unexplained[0]
     if known_cause:
         return _with_cause(found, "", known_cause)
-    if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
-        return _with_cause(found, "", WRONG_EFFORTS)
     try:
         rows = CandidateRows.of(problem, found)
     except SymbidError:
         rows = None
+    disturbance = None if rows is None else brief_disturbance(rows)
+    if disturbance is not None:
+        return _with_cause(found, "", disturbance.sentence, is_first=True)
+    if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
+        return _with_cause(found, "", WRONG_EFFORTS)
     if rows is None:
         when, sentence = "", "the log is too short to try likely causes; record longer"
     else:
@@ -164,13 +168,17 @@ def _with_tried_causes(
     return _with_cause(found, when, sentence)
 
 
-def _with_cause(found: Identification, when: str, sentence: str) -> Identification:
+def _with_cause(
+    found: Identification, when: str, sentence: str, *, is_first: bool = False
+) -> Identification:
     """Return an identification whose alarm of correlated residuals says when and why."""
     verdict = found.estimate.verdict
     assert verdict is not None
     before = coloured_alarm(verdict.whiteness, verdict.unexplained)
     after = coloured_alarm(verdict.whiteness, verdict.unexplained, when=when, cause=sentence)
     alarms = tuple(after if alarm == before else alarm for alarm in verdict.alarms)
+    if is_first:
+        alarms = (after, *(alarm for alarm in alarms if alarm != after))
     return replace(found, estimate=replace(found.estimate, verdict=replace(verdict, alarms=alarms)))
 
 

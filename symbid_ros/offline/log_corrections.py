@@ -195,7 +195,11 @@ class LogCorrections:
                 break
             found = self._diagnosed()
         self.setup.diagnosis = found
+        identified = set(self.setup.options.get("drive_gain", []))
         for one in found.findings:
+            named = {name.removesuffix("/reads") for name in one.figures if "/reads" in name}
+            if one.kind is Kind.TORQUE_GAIN and named and named <= identified:
+                continue  # the factors are identified, as the finding advises
             start = "CHECK" if one.severity is Severity.UNUSABLE else "Doctor"
             self.setup.note("", f"{start}: {one.message}")
 
