@@ -77,6 +77,9 @@ class LogCorrections:
         self._convert_degrees()
         self._correct_joints_and_gravity()
         self._correct_signs_and_units()
+        if self._reverse_single_efforts():
+            self._correct_signs_and_units()
+        self._note_findings()
 
     def _log(self, robot: RobotModel) -> Log:
         """Return the log, read with the options so far."""
@@ -156,9 +159,6 @@ class LogCorrections:
                 "rename_joint",
                 f"CHECK: found from the efforts: the log exchanges {', '.join(owners)}.",
             )
-        for name in readings.reversed_efforts:
-            reason = "CHECK: the efforts of these joints have the wrong sign."
-            self.setup.add("effort_scale", f"{name}:=-1.0", reason)
         for name, has_effort in readings.reversed_joints.items():
             self.setup.add("flip_joint", name, "CHECK: found from the efforts.")
             if has_effort:
@@ -195,6 +195,33 @@ class LogCorrections:
                 break
             found = self._diagnosed()
         self.setup.diagnosis = found
+
+    def _reverse_single_efforts(self) -> bool:
+        """Reverse efforts whose sign the doctor's gains do not show; return whether there are any.
+
+        The gains come first, because they show signs that are wrong together.
+        """
+        robot = with_robot_options(self.robot, self._given)
+        if robot.floating:
+            return False
+        readings = find_readings(first_segments(self._log(robot), robot), robot)
+        if readings is None or not readings.are_positions_right:
+            return False
+        entries = dict(entry.split(":=", 1) for entry in self.setup.options.get("effort_scale", []))
+        for name in readings.reversed_efforts:
+            entries[name] = f"{-float(entries.get(name, 1.0)):.3g}"
+        self.setup.options["effort_scale"] = [f"{name}:={at}" for name, at in entries.items()]
+        self.setup.note(
+            "effort_scale",
+            f"CHECK: efforts of {', '.join(readings.reversed_efforts)} had the wrong sign.",
+        )
+        return True
+
+    def _note_findings(self) -> None:
+        """Write the doctor's findings as comments."""
+        found = self.setup.diagnosis
+        if found is None:
+            return
         identified = set(self.setup.options.get("drive_gain", []))
         for one in found.findings:
             named = {name.removesuffix("/reads") for name in one.figures if "/reads" in name}

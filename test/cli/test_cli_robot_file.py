@@ -198,7 +198,7 @@ def test_a_wrist_whose_friction_would_drive_it_has_the_wrong_sign(tmp_path, sign
     messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in rows]
     bag = joints_only(tmp_path / "bag", *messages)
     setup = inspect_robot(ur5_urdf(), [bag], "fixed")
-    assert setup.options.get("effort_scale", []) == ["wrist_3_joint:=-1.0"] * (sign < 0)
+    assert setup.options.get("effort_scale", []) == ["wrist_3_joint:=-1"] * (sign < 0)
     assert "drive_gain" not in setup.options
     log = sy.load_bag(bag, arm)
     kinds = [one.kind.value for one in sy.diagnose(arm, log).findings]
