@@ -290,7 +290,7 @@ def _lines(estimate: Estimate) -> list[RenderableType]:
         lines += _verdict_lines(estimate, verdict)
     if estimate.holdout is not None:
         found = estimate.holdout
-        lines.insert(1, Text(f"held out: {found.summary}"))
+        lines.insert(1, Text(f"held out: {spelled(found.summary, flag)}"))
         if files := describe_files(found.file_percents, found.percent_after):
             lines.insert(2, Text(files))
     return lines

@@ -400,6 +400,10 @@ def _effort_findings(
         yield _limit_finding(topic, excess, conversions)
     line = conversions.effort_line(factors)
     drives = "all" if are_all else ",".join(factors)
+    action = f"write {line}, or give `drive_gain` {drives} to identify the factors"
+    is_any_right = any(GAINS[0] < common / gain < GAINS[1] for gain, _ in known.values() if gain)
+    if len(groups) > 1 and not is_any_right:  # no joint reads Nm
+        action = "give `drive_gain` all to identify the factors: unlike ones are those of currents"
     for names in groups:
         reads = float(np.median([wrong[name] for name in names]))
         whose = "all joints" if are_all else ", ".join(names)
@@ -409,8 +413,7 @@ def _effort_findings(
             Severity.WARNING,
             f"{topic}: effort of {whose} reads {reads:.3g} times what the motion implies; "
             f"inertia errors of 25 % explain only {GAINS[0]:g} to {GAINS[1]:g}; check its unit, "
-            f"gear ratio or torque constant, or write {line}, or give `drive_gain` {drives} to "
-            "identify the factors",
+            f"gear ratio or torque constant, or {action}",
             {"reads": reads} | {f"{name}/reads": wrong[name] for name in names},
         )
 

@@ -20,7 +20,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.identification.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
 from symbid_ros.identification.contacts import with_robot_options
-from symbid_ros.identification.joint_readings import find_readings
+from symbid_ros.identification.joint_readings import JointReadings, find_readings
 from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.options import IdentifyOptions
@@ -152,12 +152,22 @@ def diagnose(
     if found is None:
         diagnosis = doctor.diagnose(log, robot)
         readings = None if robot.floating else find_readings(segments, robot)
-        if readings is None:
-            return diagnosis
-        (topic, *_) = (one.topic for one in diagnosis.streams)
-        return diagnosis.with_readings(readings.finding(topic))
+        return diagnosis if readings is None else _with_readings(diagnosis, readings)
     diagnosis = doctor.diagnose(log, robot.with_gravity(found.direction))
     return diagnosis.with_finding(found.finding(robot.source))
+
+
+def _with_readings(diagnosis: Diagnosis, readings: JointReadings) -> Diagnosis:
+    """Return a diagnosis with wrong readings of joints."""
+    (topic, *_) = (one.topic for one in diagnosis.streams)
+    finding = readings.finding(topic)
+    if not readings.are_positions_right:
+        return diagnosis.with_readings(finding)
+    # Gains, if known, show signs of efforts together with their units.
+    found = [one for one in diagnosis.findings if one.kind is Kind.TORQUE_SIGN]
+    signs = {name.removesuffix("/gain") for one in found for name in one.figures}
+    is_said = signs.issuperset(readings.reversed_efforts)
+    return diagnosis if is_said else diagnosis.with_finding(finding)
 
 
 @on_one_blas_thread

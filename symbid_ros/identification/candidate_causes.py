@@ -77,6 +77,10 @@ class CandidateRows:
         Σ with which the estimate weights rows.
     rate : float
         Rate of the log, Hz.
+    stamp : (N,) int64
+        ns.
+    span : (int, int)
+        First and last stamp of the log, ns.
     """
 
     model: RobotModel
@@ -90,6 +94,8 @@ class CandidateRows:
     group: IntArray
     covariance: FloatArray
     rate: float
+    stamp: IntArray
+    span: tuple[int, int]
 
     @classmethod
     def of(cls, loaded: LoadedProblem, found: Identification) -> "CandidateRows | None":
@@ -110,10 +116,11 @@ class CandidateRows:
         for segment in _some_blocks(segments):
             for (block,) in windowed_rows(segment, build, (window,), ()):
                 one = block.slipping() if slips else block
-                parts.append((one.mean.K, one.mean.y, one.valid, one.stamp // period % GROUPS))
+                parts.append((one.mean.K, one.mean.y, one.valid, one.stamp))
         if not parts:
             return None
-        K, y, valid, group = (np.concatenate(each) for each in zip(*parts, strict=True))
+        K, y, valid, stamp = (np.concatenate(each) for each in zip(*parts, strict=True))
+        group = stamp // period % GROUPS
         if len(np.unique(group)) < GROUPS:
             return None
         prior = solver.posterior.prior
@@ -130,6 +137,8 @@ class CandidateRows:
             group,
             solver.posterior.covariance,
             first.rate,
+            stamp,
+            build.span,
         )
 
 

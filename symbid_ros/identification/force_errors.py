@@ -165,7 +165,8 @@ class ForceRows:
             _predict(predictor, part) for part in predictor.rows(seen(), source) if len(part.stamp)
         ]
         if not any(part.valid.any() for part in parts):
-            raise EstimateError(f"{source}: too short to predict forces; give a longer log", "E508")
+            reason = "no joint moves" if parts else "too short to predict forces"
+            raise EstimateError(f"{source}: {reason}; give a log with longer motion", "E508")
         series: dict[str, Any] = {
             each.name: np.concatenate([getattr(part, each.name) for part in parts])
             for each in fields(cls)

@@ -18,7 +18,7 @@ from symbid_ros.identification.report_series import (
 )
 from symbid_ros.identification.validation import validate_segments
 from symbid_ros.identification.warming import during
-from symbid_ros.signals.segments import RemoteSegments, Segment, split
+from symbid_ros.signals.segments import HELD_OUT, RemoteSegments, Segment, split
 from symbid_ros.signals.weak_form import WINDOWS
 
 # Instants between which postures are compared, s, and over which speeds are measured.
@@ -91,6 +91,23 @@ def hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOut
         file_percents=found.file_percents,
     )
     return checked, forces
+
+
+def rest_at_end(problem: LoadedProblem) -> str:
+    """Say that no joint of a fixed base moves in the end of the log; empty if one does."""
+    segments = problem.dataset.segments
+    if problem.parameters.model.floating or isinstance(segments, RemoteSegments):
+        return ""
+    trace = PositionTrace()
+    for _ in trace.of(segments):
+        pass
+    stamp, position = np.concatenate(trace.stamps), np.concatenate(trace.positions)
+    is_away = np.any(np.abs(position - position[-1]) > REST, axis=1)
+    ended = stamp[is_away][-1] if is_away.any() else stamp[0]
+    rest = 1e-9 * float(stamp[-1] - ended)
+    if rest < HELD_OUT * 1e-9 * float(stamp[-1] - stamp[0]):
+        return ""
+    return f"the joints rest in its last {rest:.0f} s; leave these out with `stop`"
 
 
 def repeated_share(training: Iterable[Segment], held_out: Iterable[Segment]) -> float:

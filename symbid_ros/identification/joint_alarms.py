@@ -1,6 +1,6 @@
 """Alarms about joints whose efforts the estimate does not predict, or whose signs are wrong."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +9,13 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.unexplained import force_text
 from symbid_ros.identification.joint_readings import find_readings
+from symbid_ros.identification.likely_cause import FROZEN, WRONG_READINGS, explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
-from symbid_ros.identification.resting_joints import resting_alarm, resting_joints
+from symbid_ros.identification.resting_joints import (
+    resting_alarm,
+    resting_joints,
+    unpredicted_at_rest,
+)
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
@@ -22,31 +27,34 @@ ALL, FEWEST_ROWS, NOISE = 0.9, 20, 0.1
 OPPOSED = -0.3
 
 
-def with_joint_alarms(
-    problem: LoadedProblem, found: Identification, resting: Sequence[str]
-) -> Identification:
-    """Return an identification with alarms about single joints.
+def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Identification:
+    """Return an identification with alarms about single joints, and likely causes of all alarms.
 
-    They are about joints of a fixed base that move and whose effort is not predicted at all, and
-    about those ``resting`` ones whose effort is not predicted. If there is any alarm, the log is
-    searched for joints that it exchanges or reverses.
+    Alarms about joints are those of a fixed base that move and whose effort is not predicted at
+    all, and those at rest whose effort is not predicted. If there is any alarm, the log is searched
+    for joints that it exchanges or reverses; if there are any, no other cause is tried, because
+    their readings would distort it.
     """
     if found.estimate.verdict is None:
         return found
-    model = problem.solver.problem.parameters.model
+    model, segments = problem.solver.problem.parameters.model, problem.dataset.segments
+    resting = unpredicted_at_rest(problem.solver, segments, found.estimate.residual_rmse)
     if model.floating:  # noise of wrenches adds to that of efforts
-        return found
-    alarms, named = [*found.alarms], set[str]()
+        return explained(problem, found, FROZEN if resting else "")
+    named, added = set[str](), []
     unpredicted = _unpredicted(problem, found)
-    if (alarms or unpredicted or resting) and not problem.options.drive_gains:
-        readings = find_readings(tuple(problem.dataset.segments), model)
-        if readings is not None:
-            alarms.append(readings.alarm)
-            named = {*readings.exchanged, *readings.reversed_joints}
+    readings = None
+    if (found.alarms or unpredicted or resting) and not problem.options.drive_gains:
+        readings = find_readings(tuple(segments), model)
+    if readings is not None:
+        added.append(readings.alarm)
+        named = {*readings.exchanged, *readings.reversed_joints, *readings.reversed_efforts}
+    cause = WRONG_READINGS if readings is not None else FROZEN if resting else ""
+    found = explained(problem, found, cause)
     if at_rest := [name for name in resting if name not in named]:
-        alarms.append(resting_alarm(at_rest))
-    alarms += [alarm for name, alarm in unpredicted.items() if name not in named]
-    return found.with_alarms(tuple(alarms))
+        added.append(resting_alarm(at_rest))
+    added += [alarm for name, alarm in unpredicted.items() if name not in named]
+    return found.with_alarms((*found.alarms, *added))
 
 
 def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str]:

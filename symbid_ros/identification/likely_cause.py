@@ -5,7 +5,7 @@ that no option models, and sensor errors, linearised about the estimate. The one
 predict blocks of the log that were left out is named, with the force that would remain.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from symbid_ros.diagnosis.timing import SLOWEST, TOLERANCE
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import Alarm, coloured_alarm
 from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
+from symbid_ros.identification.brief_disturbance import brief_disturbance
 from symbid_ros.identification.candidate_causes import GROUPS, Candidate, CandidateRows
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.solver import Identification
@@ -39,6 +40,9 @@ WRONG_EFFORTS = (
 )
 FROZEN = "a joint at rest that another alarm names may explain it; check that first"
 DELAY_ALARM = "the delay that another alarm names"
+WRONG_READINGS = (
+    "the wrong readings of joints that another alarm names may explain it; correct these first"
+)
 EFFECTS = {
     "viscous": "viscous friction",
     "warming": "viscous friction that changes during the log",
@@ -104,14 +108,14 @@ class Cause:
 
 
 def explained(
-    problem: LoadedProblem, found: Identification, resting: Sequence[str]
+    problem: LoadedProblem, found: Identification, known_cause: str = ""
 ) -> Identification:
     """Return an identification whose alarms name their likely cause.
 
     Joints that the log lacks are named beside any alarm; other causes are tried for correlated
-    residuals, unless the efforts of ``resting`` joints are not predicted.
+    residuals, unless their cause is known. A brief disturbance comes first of all alarms.
     """
-    found = _with_tried_causes(problem, found, resting)
+    found = _with_tried_causes(problem, found, known_cause)
     if not found.alarms:
         return found
     model = problem.solver.problem.parameters.model
@@ -139,21 +143,24 @@ def held_joints(names: tuple[str, ...], segments: Iterable[Segment]) -> list[str
 
 
 def _with_tried_causes(
-    problem: LoadedProblem, found: Identification, resting: Sequence[str]
+    problem: LoadedProblem, found: Identification, known_cause: str
 ) -> Identification:
     """Return an identification whose alarm of correlated residuals names their likely cause."""
     verdict = found.estimate.verdict
     if verdict is None or not verdict.is_coloured or not verdict.unexplained:
         return found
     worst = verdict.unexplained[0]
-    if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
-        return _with_cause(found, "", WRONG_EFFORTS)
-    if resting:
-        return _with_cause(found, "", FROZEN)
+    if known_cause:
+        return _with_cause(found, "", known_cause)
     try:
         rows = CandidateRows.of(problem, found)
     except SymbidError:
         rows = None
+    disturbance = None if rows is None else brief_disturbance(rows)
+    if disturbance is not None:
+        return _with_cause(found, "", disturbance.sentence, is_first=True)
+    if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
+        return _with_cause(found, "", WRONG_EFFORTS)
     if rows is None:
         when, sentence = "", "the log is too short to try likely causes; record longer"
     else:
@@ -163,13 +170,18 @@ def _with_tried_causes(
     return _with_cause(found, when, sentence)
 
 
-def _with_cause(found: Identification, when: str, sentence: str) -> Identification:
+def _with_cause(
+    found: Identification, when: str, sentence: str, *, is_first: bool = False
+) -> Identification:
     """Return an identification whose alarm of correlated residuals says when and why."""
     verdict = found.estimate.verdict
     assert verdict is not None
     before = coloured_alarm(verdict.whiteness, verdict.unexplained)
     after = coloured_alarm(verdict.whiteness, verdict.unexplained, when=when, cause=sentence)
-    return found.with_alarms(tuple(after if alarm == before else alarm for alarm in verdict.alarms))
+    alarms = tuple(after if alarm == before else alarm for alarm in verdict.alarms)
+    if is_first:
+        alarms = (after, *(alarm for alarm in alarms if alarm != after))
+    return found.with_alarms(alarms)
 
 
 def _explanation(rows: CandidateRows, worst: UnexplainedForce, delay: str = "") -> str:

@@ -76,6 +76,8 @@ class LooseFit:
         Root mean square of the residuals over that of y.
     shares : (J,) float64
         The same for the efforts of each joint.
+    power : (J,) float64
+        What friction takes of each joint's power, over that of the effort.
     dissipates : bool
         Whether friction takes power.
     """
@@ -84,6 +86,7 @@ class LooseFit:
     cost: float
     unexplained: float
     shares: FloatArray
+    power: FloatArray
     dissipates: bool
 
 
@@ -162,17 +165,19 @@ class LooseRows:
         cost = float(count @ np.log(deviation) + x @ x / 2)
         share = float(np.linalg.norm(size) / np.linalg.norm(self.read))
         shares = (size / self.read)[6 * self.parameters.model.floating :]
-        return LooseFit(theta, cost, share, shares, self._dissipates(theta))
+        taken, given = self._power(theta)
+        power = taken / np.maximum(given, 1e-300)
+        return LooseFit(theta, cost, share, shares, power, taken.sum() > -GIVEN * given.sum())
 
-    def _dissipates(self, theta: FloatArray) -> bool:
-        """Return whether friction takes power, apart from what chance gives."""
+    def _power(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the sums (J,) of what friction takes, and of the sizes of the efforts' power."""
         columns = self.parameters.term_columns
         viscous, coulomb = columns["viscous"].start, columns["coulomb"].start
-        taken = given = 0.0
+        taken, given = np.zeros((2, len(self.parameters.model.joints)))
         for place, joint in enumerate(self._coordinates.tolist()):
             K, y = self.K[self.valid[:, joint], joint], self.y[self.valid[:, joint], joint]
             rate, sign = K[:, viscous + place], K[:, coulomb + place]
             friction = theta[viscous + place] * rate + theta[coulomb + place] * sign
-            taken += float(friction @ rate)
-            given += float(np.abs(y) @ np.abs(rate))
-        return taken > -GIVEN * given
+            at = joint - 6 * self.parameters.model.floating
+            taken[at], given[at] = friction @ rate, np.abs(y) @ np.abs(rate)
+        return taken, given

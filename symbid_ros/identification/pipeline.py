@@ -8,9 +8,8 @@ from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.force_errors import RELEVANT
 from symbid_ros.identification.gain_check import Trial, wrist_sensor_alarms, wrong_factors
-from symbid_ros.identification.holdout import hold_out
-from symbid_ros.identification.joint_alarms import with_joint_alarms
-from symbid_ros.identification.likely_cause import explained
+from symbid_ros.identification.holdout import hold_out, rest_at_end
+from symbid_ros.identification.joint_alarms import with_explained_alarms
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.report_data import ForceSeries
@@ -20,7 +19,6 @@ from symbid_ros.identification.report_series import (
     force_series,
     report_data,
 )
-from symbid_ros.identification.resting_joints import unpredicted_at_rest
 from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import validate_segments
 from symbid_ros.progress import report
@@ -69,7 +67,8 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
         try:
             checked, forces = hold_out(problem, found.window, log.begin)
         except SymbidError as error:
-            checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {error}")
+            reason = rest_at_end(problem) or str(error)
+            checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {reason}")
         if checked.advice in NOT_BETTER and problem.options.is_empirical:
             better = _with_kept_prior(problem, checked, log.begin)
             if better is not None:
@@ -82,10 +81,7 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
         if wrong is not None:
             alarm = wrong.alarm
             problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
-    residual = found.estimate.residual_rmse
-    resting = unpredicted_at_rest(problem.solver, problem.dataset.segments, residual)
-    found = with_joint_alarms(problem, explained(problem, found, resting), resting)
-    found = problem.with_provenance(found)
+    found = problem.with_provenance(with_explained_alarms(problem, found))
     of_end = () if alarm is None else (alarm,)
     found = found.with_alarms((*found.alarms, *wrist_sensor_alarms(problem), *of_end))
     if forces is None:

@@ -11,6 +11,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import DataError
+from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.error_changes import (
     ALL_JOINTS,
@@ -404,7 +405,10 @@ def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validatio
     if found.advice == "mixed":
         deciding += worse.values()
     found = replace(found, deciding=tuple(deciding))
-    return replace(found, verdict=_verdict(found, changes))
+    verdict = _verdict(found, changes)
+    if found.is_better and not found.is_of_other_robot:
+        verdict += _repeated_alarms(predictor.estimate.verdict)
+    return replace(found, verdict=verdict)
 
 
 def _worse_joints(rows: ForceRows, errors: Mapping[str, ForceError]) -> dict[str, ForceError]:
@@ -469,6 +473,15 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
         limits += ["its standard deviations"] * (not found.is_covered)
         start = ", but not ".join([start, " and not ".join(limits)]) if limits else start
     return f"{start}: {found.change} {used}{_reservations(found)}"
+
+
+def _repeated_alarms(identified: Verdict | None) -> str:
+    """Return the alarms of the identification without their advice; empty if there are none."""
+    alarms = () if identified is None else identified.alarms
+    if not alarms:
+        return ""
+    said = "; ".join(alarm.partition("; ")[0] for alarm in alarms)
+    return f"; alarms of its identification: {said}"
 
 
 def _reservations(found: Validation) -> str:

@@ -14,7 +14,7 @@ from symbid_ros.arrays import concatenated
 from symbid_ros.bags import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
-from symbid_ros.diagnosis.forces import GAINS, MILLI, common_unit, may_be_in_milli
+from symbid_ros.diagnosis.forces import EXPLAINED, GAINS, MILLI, common_unit, may_be_in_milli
 from symbid_ros.diagnosis.joint_checks import DEGREES
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
@@ -77,6 +77,9 @@ class LogCorrections:
         self._convert_degrees()
         self._correct_joints_and_gravity()
         self._correct_signs_and_units()
+        if self._reverse_single_efforts():
+            self._correct_signs_and_units()
+        self._note_findings()
 
     def _log(self, robot: RobotModel) -> Log:
         """Return the log, read with the options so far."""
@@ -131,7 +134,11 @@ class LogCorrections:
         robot = with_robot_options(self.robot, self._given)
         segments = first_segments(self._log(robot), robot)
         readings, gravity = find_readings(segments, robot), self._gravity(segments, robot)
-        if gravity is not None and (readings is None or gravity.after <= readings.unexplained):
+        if gravity is not None and (
+            readings is None
+            or readings.are_positions_right
+            or gravity.after <= readings.unexplained
+        ):
             self._set_gravity(gravity)
             self._set_readings(find_readings(segments, robot.with_gravity(gravity.direction)))
         elif readings is not None:
@@ -188,7 +195,38 @@ class LogCorrections:
                 break
             found = self._diagnosed()
         self.setup.diagnosis = found
+
+    def _reverse_single_efforts(self) -> bool:
+        """Reverse efforts whose sign the doctor's gains do not show; return whether there are any.
+
+        The gains come first, because they show signs that are wrong together.
+        """
+        robot = with_robot_options(self.robot, self._given)
+        if robot.floating:
+            return False
+        readings = find_readings(first_segments(self._log(robot), robot), robot)
+        if readings is None or not readings.are_positions_right:
+            return False
+        entries = dict(entry.split(":=", 1) for entry in self.setup.options.get("effort_scale", []))
+        for name in readings.reversed_efforts:
+            entries[name] = f"{-float(entries.get(name, 1.0)):.3g}"
+        self.setup.options["effort_scale"] = [f"{name}:={at}" for name, at in entries.items()]
+        self.setup.note(
+            "effort_scale",
+            f"CHECK: efforts of {', '.join(readings.reversed_efforts)} had the wrong sign.",
+        )
+        return True
+
+    def _note_findings(self) -> None:
+        """Write the doctor's findings as comments."""
+        found = self.setup.diagnosis
+        if found is None:
+            return
+        identified = set(self.setup.options.get("drive_gain", []))
         for one in found.findings:
+            named = {name.removesuffix("/reads") for name in one.figures if "/reads" in name}
+            if one.kind is Kind.TORQUE_GAIN and named and named <= identified:
+                continue  # the factors are identified, as the finding advises
             start = "CHECK" if one.severity is Severity.UNUSABLE else "Doctor"
             self.setup.note("", f"{start}: {one.message}")
 
@@ -214,19 +252,7 @@ class LogCorrections:
                 unknown.append(name)
             else:
                 factors[name] = gain / common
-        scaled = {name: one for name, one in factors.items() if not GAINS[0] < one < GAINS[1]}
-        usual = median(map(abs, scaled.values())) if scaled else 1.0
-        if len(scaled) == len(factors) and not GAINS[0] < usual < GAINS[1]:
-            # No joint has the unit of the model, so those without a visible load have not either.
-            unit = common_unit(scaled.values())
-            self._scale(scaled | dict.fromkeys(unknown, usual), unit)
-        else:
-            self._scale(scaled)
-            times = _figures(found)
-            beyond = [
-                name for name in unknown if may_be_in_milli(times.get(f"{name}/times_limit", 0.0))
-            ]
-            self._scale(dict.fromkeys(beyond, MILLI), MILLI)
+        self._correct_factors(factors, unknown, _figures(found))
         if "effort_scale" not in self.setup.options:
             self._reverse_efforts(found)
         for one in found.findings:
@@ -234,6 +260,52 @@ class LogCorrections:
             if one.kind is Kind.IMU_MOUNTING and place and "roll_deg" in one.figures:
                 self._rotate(place, [one.figures[f"{angle}_deg"] for angle in ANGLES])
         return self.setup.options != before
+
+    def _correct_factors(
+        self, factors: Mapping[str, float], unknown: Sequence[str], times: Mapping[str, float]
+    ) -> None:
+        """Scale efforts by the factors of joints whose load shows them.
+
+        Parameters
+        ----------
+        factors : mapping of str to float
+            Those that the log determines.
+        unknown : sequence of str
+            The other driven joints.
+        times : mapping of str to float
+            RMS efforts over the limits of the model, as ``<joint>/times_limit``.
+        """
+        scaled = {name: one for name, one in factors.items() if not GAINS[0] < one < GAINS[1]}
+        if scaled and len(scaled) == len(factors):
+            # No joint has the unit of the model, so those without a visible load have not either.
+            if (unit := common_unit(scaled.values())) is not None:
+                self._scale(dict.fromkeys([*scaled, *unknown], unit), unit)
+                return
+            if all(EXPLAINED[0] < one < EXPLAINED[1] for one in scaled.values()):
+                self._doubt_load(scaled)
+                return
+            if len(unknown) > len(scaled):
+                return  # so few joints do not tell units from errors of the model
+            scaled |= dict.fromkeys(unknown, median(map(abs, scaled.values())))
+            unknown = ()
+        self._scale(scaled)
+        beyond = [
+            name for name in unknown if may_be_in_milli(times.get(f"{name}/times_limit", 0.0))
+        ]
+        self._scale(dict.fromkeys(beyond, MILLI), MILLI)
+
+    def _doubt_load(self, factors: Mapping[str, float]) -> None:
+        """Say that efforts differ from the model's by as much as those of a load do."""
+        reads = median(1 / one for one in factors.values())
+        cause = (
+            "the model lacks a tool or payload" if reads > 1 else "the model has a load too many"
+        )
+        self.setup.note(
+            "effort_scale",
+            f"CHECK: efforts of {', '.join(factors)} read {reads:.3g} times what the model "
+            f"implies. No factor is written: it is more likely that {cause}. Correct the model "
+            "file, or give the factors if the efforts are not in Nm (N).",
+        )
 
     def _rotate(self, frame: str, angles: Sequence[float]) -> None:
         rotated = self.setup.options.get("rotate_imu", [])

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 import symbid_ros as sy
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.name_matching import match_names
 from symbid_ros.offline.robot_file import OF_THE_NODE, load_robot_file
@@ -27,6 +28,7 @@ from symbid_ros.package_paths import config_file
 
 # Nm per ampere of the motors, whose signs differ.
 CONSTANTS = np.array([10.0, 9.0, -8.0, 11.0, 12.0, 10.0, 9.0, 8.0, -10.0, 12.0])
+WRISTS = "wrist_1_joint", "wrist_2_joint", "wrist_3_joint"
 ANGLES = (25.0, -10.0, 40.0)
 MOUNTING = Rotation.from_euler("xyz", ANGLES, degrees=True)
 ENTRY = re.compile(r"(.*):=(.*)")
@@ -166,6 +168,45 @@ def test_drives_without_a_visible_load_have_the_unit_of_the_others(tmp_path, fac
     assert setup.options["drive_gain"] == list(arm.joint_names)
     found = {name: float(one) for name, one in entries(setup.options["effort_scale"]).items()}
     assert list(found.values())[1:3] == pytest.approx([1 / factor] * 2, rel=0.3)
+
+
+def test_a_load_that_the_model_lacks_is_no_unit(tmp_path) -> None:
+    """Few joints that read more than the model implies would tell the scale of all others."""
+    model = load_model(ur5_urdf(), "fixed")
+    phi = model.phi.copy()
+    phi[-1] = phi_from_com(8.0, np.zeros(3), 0.05 * np.eye(3))
+    loaded, resting = model.with_phi(phi), ("elbow_joint", *WRISTS)
+    setup = setup_with_efforts(tmp_path, loaded, 1.0, friction=0.02, resting=resting)
+    assert not {"effort_scale", "drive_gain"} & set(setup.options)
+    said = [line for lines in setup.comments.values() for line in lines]
+    assert any("lacks a tool or payload" in line for line in said)
+
+
+def test_one_joint_does_not_tell_the_unit_of_all_others(tmp_path) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    resting = [name for name in arm.joint_names if name != "elbow_joint"]
+    setup = setup_with_efforts(tmp_path, arm, 0.1, friction=0.02, resting=resting)
+    assert not {"effort_scale", "drive_gain"} & set(setup.options)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_wrist_whose_friction_would_drive_it_has_the_wrong_sign(tmp_path, sign) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 10.0, 1, friction=0.3).joints
+    signs = np.array([1, 1, 1, 1, 1, sign])
+    rows = zip(read.stamp, read.position, read.velocity, signs * read.effort, strict=True)
+    messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in rows]
+    bag = joints_only(tmp_path / "bag", *messages)
+    setup = inspect_robot(ur5_urdf(), [bag], "fixed")
+    assert setup.options.get("effort_scale", []) == ["wrist_3_joint:=-1"] * (sign < 0)
+    assert "drive_gain" not in setup.options
+    log = sy.load_bag(bag, arm)
+    kinds = [one.kind.value for one in sy.diagnose(arm, log).findings]
+    assert ("joint_readings" in kinds) == (sign < 0)
+    alarms = sy.identify(arm, log, no_holdout=True).alarms
+    said = "give `effort_scale` wrist_3_joint:=-1.0"
+    assert any(one.endswith(said) for one in alarms) == (sign < 0)
+    assert sign > 0 or not any("likely cause" in one for one in alarms)
 
 
 def test_efforts_that_are_wrong_together_get_the_other_sign(tmp_path) -> None:

@@ -330,6 +330,15 @@ def test_the_line_for_a_robot_file_names_every_joint_with_its_number():
     assert "give `drive_gain` all to" in every.message
 
 
+def test_unlike_factors_without_a_right_one_are_those_of_currents():
+    """Factors of the named joints alone would take the others' currents for torques."""
+    found = list(_effort_findings("/joints", known(6.4, 3.6, 3.8), 1.0, ["x"]))
+    assert len(found) == 2
+    for one in found:
+        assert "give `drive_gain` all to identify" in one.message
+        assert "effort_scale" not in one.message
+
+
 def test_advice_about_signs_builds_on_the_conversions_that_are_given():
     """A user who reversed an effort by mistake is not told to reverse it once more."""
     given = SignConversions({"0": -1.0, "1": 0.11}, frozenset({"left"}))

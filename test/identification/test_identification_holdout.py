@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drive_logs import arm, drives, log_of
 from random_logs import LogPlan, random_streams, small_robot
 
 import symbid_ros as sy
@@ -263,3 +264,18 @@ def test_segments_are_read_again_for_long_logs(robot) -> None:
     training, held_out = split(aligned, 0.3, "log")
     assert length(training) == pytest.approx(12, abs=0.02)
     assert length(held_out) == pytest.approx(3.7, abs=0.02)
+
+
+def test_joints_that_rest_at_the_end_are_named() -> None:
+    """Static friction balances any effort, so that nothing can be predicted there."""
+    robot = arm(seed=2)
+    joints = log_of(robot, drives(robot, coulomb=0.8), seconds=24.0).streams().joints
+    time = (joints.stamp - joints.stamp[0]) * 1e-9
+    rests = int(np.searchsorted(time, 16.0))
+    position, effort = joints.position.copy(), joints.effort.copy()
+    position[rests:], effort[rests:] = position[rests], effort[rests]
+    log = sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
+    holdout = sy.identify(robot, log, unchecked=True).estimate.holdout
+    assert holdout is not None
+    assert holdout.advice == "none"
+    assert "the joints rest in its last 8 s; leave these out with `stop`" in holdout.summary

@@ -166,9 +166,16 @@ def only_noise(time, position, effort):
     return position, effort
 
 
+def test_friction_that_would_drive_a_joint_shows_the_sign_of_its_effort(robot):
+    found = identify(robot, Fault("", change=opposed))
+    assert any(one.endswith("; give `effort_scale` joint_2:=-1.0") for one in found.alarms)
+    assert not any("likely cause" in one for one in found.alarms)
+
+
 @pytest.mark.parametrize("change", [opposed, only_noise])
 def test_an_effort_that_is_not_predicted_at_all_raises_an_alarm(robot, change):
-    found = identify(robot, Fault("", change=change))
+    """With factors of other joints, signs are not looked for."""
+    found = identify(robot, Fault("", change=change, options={"drive_gain": ("joint_0",)}))
     alarms = [one for one in found.alarms if one.startswith("nothing of the effort of joint_2")]
     assert len(alarms) == (change is opposed)
     assert all("`flip_joint` joint_2, or `effort_scale` joint_2:=-1" in one for one in alarms)

@@ -116,6 +116,20 @@ def test_an_identified_model_is_recommended(found) -> None:
     assert "<td>joint_0</td>" in found._repr_html_()
 
 
+def test_a_recommendation_repeats_the_alarms_of_the_identification(arm, found) -> None:
+    """Forces can be predicted although the numbers cannot be trusted."""
+    assert "alarm" not in found.verdict
+    predictor = arm.identified().predictor
+    verdict = predictor.estimate.verdict
+    assert verdict is not None
+    doubtful = replace(verdict, alarms=("the prior is wrong; widen it", "a sensor drifts"))
+    doubted = replace(predictor, estimate=replace(predictor.estimate, verdict=doubtful))
+    log = AlignedLog(arm.held_out, predictor.parameters.model)
+    said = validate_segments(doubted, log, "log").verdict
+    assert said.startswith("use it: ")
+    assert said.endswith("; alarms of its identification: the prior is wrong; a sensor drifts")
+
+
 def test_intervals_hold_the_share_of_errors_that_they_claim(found) -> None:
     assert found.coverage == pytest.approx(0.9, abs=0.06)
     assert found.normalized_square == pytest.approx(1.0, abs=0.3)
