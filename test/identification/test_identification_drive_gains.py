@@ -80,6 +80,18 @@ def test_a_known_payload_fixes_the_scale(robot, model, currents):
     assert not any("common scale" in one for one in result.estimate.remarks)
 
 
+def test_a_payload_that_is_carried_all_the_time_needs_a_log_without_it(robot, model, currents):
+    payload = f"{robot.link_names[-1]},1.5,0.02,-0.1,0.2"
+    fields = {"drive_gain": "all", "no_holdout": True, "unchecked": True, "payload": [payload]}
+    (remark,) = (
+        one
+        for one in sy.identify(model, currents, **fields).estimate.remarks
+        if "common scale" in one
+    )
+    assert "carried all the time" in remark
+    assert "give a log without it" in remark
+
+
 def test_a_payload_of_unknown_place_fixes_the_scale(tmp_path, robot, model, currents):
     mass, place = 1.5, np.array([0.02, -0.1, 0.06])
     phi = robot.phi.copy()
