@@ -46,6 +46,10 @@ PRIOR_KEPT = (
     "the prior is kept at ±25 % (keep_prior): with the one that the data ask for, the trial erred "
     "more, {}"
 )
+AT_REST = (
+    "no joint moves: the log shows the forces in one posture, from which those in other postures "
+    "do not follow, and its end is the same posture again; record motion of all joints"
+)
 UNPREDICTED = (
     "the log does not predict its own end: {}; record longer and more varied motion, or correct "
     "what differs there, such as a load or a contact"
@@ -100,6 +104,8 @@ def identify_with_holdout(problem: LoadedProblem) -> tuple[LoadedProblem, Identi
         found = _with_alarm(found, one)
     if alarm is not None:
         found = _with_alarm(found, alarm)
+    if not problem.columns.model.floating and not _moving(problem.dataset.segments).any():
+        found = _with_alarm(found, AT_REST)
     if forces is None:
         forces = _predict_end(problem, found, log.begin)
     found = replace(
@@ -219,10 +225,9 @@ def repeated_share(training: Iterable[Segment], held_out: Iterable[Segment]) -> 
     before, after = _states(training), _states(held_out)
     if not before or not after:
         return 0.0
-    joints = before[0].shape[1] // 2
     every = np.concatenate(before)
     std = every.std(axis=0)
-    moves = np.tile(std[:joints] > REST, 2) & (std > 0)
+    moves = np.tile(_is_moving(every), 2) & (std > 0)
     if not moves.any():
         return 1.0
     queries = np.concatenate(after)[:, moves] / std[moves]
@@ -237,6 +242,19 @@ def repeated_share(training: Iterable[Segment], held_out: Iterable[Segment]) -> 
         _distance(queries, points, nearest, ends), _distance(queries, points, nearest - 1, ends)
     )
     return float(np.mean(distance <= NEAR * np.sqrt(np.count_nonzero(moves))))
+
+
+def _moving(segments: Iterable[Segment]) -> BoolArray:
+    """Return which joints (J,) of a log move; all if it is too short to tell."""
+    states = _states(segments)
+    return _is_moving(np.concatenate(states)) if states else np.ones(1, dtype=bool)
+
+
+def _is_moving(states: FloatArray) -> BoolArray:
+    """Return which joints move in states (N, 2 J)."""
+    joints = states.shape[1] // 2
+    moves: BoolArray = states[:, :joints].std(axis=0) > REST
+    return moves
 
 
 def _states(segments: Iterable[Segment]) -> list[FloatArray]:
