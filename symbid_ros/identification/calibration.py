@@ -51,7 +51,9 @@ WITHOUT_PAYLOAD = (
     "the `payload` is carried all the time and acts like a part of its link: give a log without it "
     "as well, " + GIVE
 )
-LONGER = "the payload changes the efforts too little: give longer logs or a heavier payload, " + GIVE
+LONGER = (
+    "the payload changes the efforts too little: give longer logs or a heavier payload, " + GIVE
+)
 # Deflection of an elastic joint under its root mean square effort, rad or m: a prior deviation. An
 # effort below this share of the largest counts as that.
 DEFLECTION, LEAST_EFFORT = 2e-3, 0.02

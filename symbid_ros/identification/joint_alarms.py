@@ -16,6 +16,8 @@ from symbid_ros.signals.segments import Segment
 # Share of a joint's measured effort (RMS) above which its residual counts as all of it, fewest
 # rows, and largest share of the noise of averaged efforts.
 ALL, FEWEST_ROWS, NOISE = 0.9, 20, 0.1
+# The same share for a joint whose friction could not be judged, which may be what is missing.
+MUCH = 0.3
 # Correlation of effort and velocity below which the effort opposes the motion.
 OPPOSED = -0.3
 
@@ -33,19 +35,30 @@ def with_joint_alarms(problem: LoadedProblem, found: Identification) -> Identifi
     if model.floating:  # noise of wrenches adds to that of efforts
         return found
     alarms, named = [*verdict.alarms], set[str]()
-    unpredicted = _unpredicted(problem, found)
+    unpredicted, unjudged = _unpredicted(problem, found)
     if (alarms or unpredicted) and not problem.options.drive_gains:
         readings = find_readings(tuple(problem.dataset.segments), model)
         if readings is not None:
             alarms.append(readings.alarm)
             named = {*readings.exchanged, *readings.reversed_joints}
     alarms += [alarm for name, alarm in unpredicted.items() if name not in named]
+    if missing := [one for name, one in unjudged.items() if name not in named]:
+        alarms.append(
+            f"too little motion to judge the friction of {', '.join(missing)}, "
+            "although the efforts are clear of noise: record longer"
+        )
     verdict = replace(verdict, alarms=tuple(alarms))
     return replace(found, estimate=replace(found.estimate, verdict=verdict))
 
 
-def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str]:
-    """Return an alarm for each joint whose effort is not predicted."""
+def _unpredicted(
+    problem: LoadedProblem, found: Identification
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Return an alarm for each joint whose effort is not predicted.
+
+    Of joints whose friction could not be judged, the second dictionary has the sizes of what is not
+    predicted.
+    """
     solved, rows = problem.solver.problem, problem.solver.chosen
     model = solved.parameters.model
     counts = rows.counts.diagonal()
@@ -53,20 +66,27 @@ def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str
     left = found.estimate.residual_rmse
     # Efforts whose factor is identified are not measured in Nm.
     joints = {one for one in model.joint_names if f"{one}/drive_gain" not in solved.sensor_names}
+    short = () if solved.choice is None else solved.choice.unjudged
     doubted = {
         name: size
         for name, size, count in zip(rows.layout.coordinates, measured, counts, strict=True)
-        if name in joints and count >= FEWEST_ROWS and left.get(name, 0.0) > ALL * size > 0.0
+        if name in joints
+        and (name in short or count >= FEWEST_ROWS)
+        and left.get(name, 0.0) > (MUCH if name in short else ALL) * size > 0.0
     }
     if not doubted:
-        return {}
+        return {}, {}
     efforts = _Efforts.of(problem.dataset.segments, model)
-    alarms = {}
+    alarms, unjudged = {}, {}
     for name, size in doubted.items():
         index = model.joint_names.index(name)
         if efforts.noise_share(index, rows.window) > NOISE:
             continue
         unit = "Nm" if model.joints[index].kind == "revolute" else "N"
+        if name in short:
+            both = f"{force_text(left[name], unit)} of {force_text(size, unit)}"
+            unjudged[name] = f"{name} ({both} unexplained)"
+            continue
         cause = (
             "the effort opposes the motion, so the sign of one of them is wrong; give `flip_joint` "
             f"{name}, or `effort_scale` {name}:=-1"
@@ -77,7 +97,7 @@ def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str
             f"nothing of the effort of {name} ({force_text(size, unit)}) is predicted, although "
             f"the joint moves and the effort is clear of noise: {cause}"
         )
-    return alarms
+    return alarms, unjudged
 
 
 @dataclass(frozen=True)

@@ -174,6 +174,18 @@ def test_an_effort_that_is_not_predicted_at_all_raises_an_alarm(robot, change):
     assert all("`flip_joint` joint_2, or `effort_scale` joint_2:=-1" in one for one in alarms)
 
 
+def test_friction_that_a_short_log_cannot_judge_raises_an_alarm(robot):
+    """Unmodelled friction is most of an effort, but shows neither signs nor exchanged joints."""
+    truth = drives(robot, viscous=0.4, coulomb=8.0)
+    for seconds, is_short in ((1.2, True), (SECONDS, False)):
+        log = log_of(robot, truth, seconds=seconds)
+        found = sy.identify(robot, log, no_holdout=True, unchecked=True)
+        alarms = [one for one in found.alarms if "friction of" in one]
+        assert len(alarms) == is_short
+        assert all("unexplained" in one and "record longer" in one for one in alarms)
+        assert not any("nothing of the effort" in one for one in found.alarms)
+
+
 def backwards(_, position, effort):
     position = position.copy()
     position[:, JOINT] *= -1
