@@ -149,7 +149,7 @@ class JointCheck:
     def _is_stuck(self) -> BoolArray:
         """Whether an effort (J,) is one value, not zero, although its joint moves."""
         moves = self._moved.sum(axis=0) >= FEWEST_MOVED
-        return self._has_effort & self._is_constant & moves
+        return np.asarray(self._has_effort & self._is_constant & moves)
 
     def _add_efforts(self, effort: FloatArray) -> None:
         """Add the squares of successive efforts (N, J) and of their second differences."""

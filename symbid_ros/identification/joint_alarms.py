@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.findings import OF_READINGS
 from symbid_ros.estimation.unexplained import force_text
 from symbid_ros.identification.joint_readings import find_readings
 from symbid_ros.identification.loaded_problem import LoadedProblem
@@ -26,7 +27,8 @@ def with_joint_alarms(problem: LoadedProblem, found: Identification) -> Identifi
     """Return an identification with alarms about single joints.
 
     They are about joints of a fixed base that move and whose effort is not predicted at all. If
-    there is any alarm, the log is searched for joints that it exchanges or reverses.
+    there is any alarm, the log is searched for joints that it exchanges or reverses. That alarm
+    comes first, and findings of the checks that depend on the readings are left out.
     """
     verdict = found.estimate.verdict
     if verdict is None:
@@ -39,7 +41,10 @@ def with_joint_alarms(problem: LoadedProblem, found: Identification) -> Identifi
     if (alarms or unpredicted) and not problem.options.drive_gains:
         readings = find_readings(tuple(problem.dataset.segments), model)
         if readings is not None:
-            alarms.append(readings.alarm)
+            depends = {one.message for one in problem.checks.findings if one.kind in OF_READINGS}
+            alarms = [one for one in alarms if one not in depends]
+            follows = "; the other alarms may follow from this" if alarms else ""
+            alarms.insert(0, readings.alarm + follows)
             named = {*readings.exchanged, *readings.reversed_joints}
     alarms += [alarm for name, alarm in unpredicted.items() if name not in named]
     if missing := [one for name, one in unjudged.items() if name not in named]:

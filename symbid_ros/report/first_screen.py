@@ -22,7 +22,10 @@ from symbid_ros.report.shown_log import describe_given, describe_identified_log
 OUTLIER = 3.0
 # Bars that are shown at once; the rest is folded.
 BARS_SHOWN = 12
-OPEN_SCALE = "The common scale of efforts and masses was not measured: it is that of the model file’s masses."
+OPEN_SCALE = (
+    "The common scale of efforts and masses was not measured: it is that of the model file’s "
+    "masses."
+)
 
 
 @dataclass(frozen=True)

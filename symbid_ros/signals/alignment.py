@@ -395,7 +395,9 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
     effort[:, list(model.followers)] = 0.0
     for place in model.wrist_sensors.values():
         effort[:, place] = 0.0  # their readings follow in each segment
-    efforts = measured_efforts(stamp, position, effort, model, longest, topic)
+    efforts = measured_efforts(
+        stamp, position, effort, model=model, longest_gap=longest, topic=topic
+    )
     if not model.floating and not efforts.any_row:
         raise DataError(
             f"{topic} has no effort of any joint of {model.source}, whose base is fixed; let the "

@@ -1,8 +1,8 @@
 """Detection of joint efforts that were not measured.
 
 Drivers without effort sensors fill JointState.effort with NaN, zeros or another constant. The
-joint's own row of the equation of motion is then unusable, while the rows of the base and of other joints are not
-affected.
+joint's own row of the equation of motion is then unusable, while the rows of the base and of other
+joints are not affected.
 """
 
 import logging
@@ -58,6 +58,7 @@ def measured_efforts(
     stamp: IntArray,
     position: FloatArray,
     effort: FloatArray,
+    *,
     model: RobotModel,
     longest_gap: float,
     topic: str,
