@@ -28,6 +28,8 @@ SUSPICIOUS_MODEL_SCALE = 20.0
 SUSPICIOUS_WHITENESS = 1.4
 # Growth of the residuals by constraints. It is at most 1.07 in logs of eleven real robots.
 SUSPICIOUS_GROWTH = 1.4
+# Deviations of its prior by which an encoder's zero may be found wrong.
+SUSPICIOUS_ZERO = 5.0
 # Largest share of a direction's apparent information that may be noise in the regressor.
 SUSPICIOUS_NOISE = 0.5
 
@@ -263,6 +265,7 @@ def assess(
             *(() if count else (NOTHING,)),
             *alarms(posterior, whiteness, unexplained, measurements),
             *_contradicted_limits(posterior, value, rows),
+            *_large_offsets(posterior, sensors, value, p),
         ),
         effective=known.effective,
         gain=known.gain,
@@ -334,6 +337,33 @@ def _contradicted_limits(posterior: Posterior, value: FloatArray, rows: float) -
         "the data contradict links that are physically possible and drives that take power: with "
         f"these the residuals are {growth:.1f} times as large as without; signs, units or zeros of "
         "joints, or the kinematics are wrong",
+    )
+
+
+def _large_offsets(
+    posterior: Posterior,
+    sensors: tuple[Sequence[str], Sequence[str]],
+    value: FloatArray,
+    first: int,
+) -> tuple[str, ...]:
+    """Return the alarm about zeros of encoders that err by far more than their prior states.
+
+    Gravity hardly tells such an error from other first moments of the links, so that the prior
+    holds it back, and the links take the rest.
+    """
+    deviations = (value - posterior.prior.mean) / posterior.prior.std
+    found = [
+        f"{name.rpartition('/')[0]} ({value[index]:.3g} {unit}, {abs(deviations[index]):.0f} times "
+        "what is assumed)"
+        for index, (name, unit) in enumerate(zip(*sensors, strict=True), first)
+        if name.endswith("/encoder_offset") and abs(deviations[index]) > SUSPICIOUS_ZERO
+    ]
+    if not found:
+        return ()
+    return (
+        f"encoder offsets are too large to be estimated well: {', '.join(found)}; the true ones "
+        "are probably larger, and first moments of links take the rest: correct the joints' zeros "
+        "in the driver",
     )
 
 

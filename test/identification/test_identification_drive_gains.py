@@ -133,6 +133,22 @@ def test_sensor_errors_need_no_longer_log_than_links(robot, model, kind):
     assert sy.validate(result, brisk(robot, seed=10)).percent_after < 0.5
 
 
+@pytest.mark.parametrize(("error", "is_large"), [(0.002, False), (0.05, True)])
+def test_a_zero_that_errs_far_beyond_its_prior_raises_an_alarm(robot, error, is_large):
+    """The prior of .11 degrees holds it back, and the links take the rest."""
+    joints = log_of(robot, drives(robot, **FRICTION)).streams().joints
+    log = sy.Log.from_arrays(
+        robot,
+        time=(joints.stamp - joints.stamp[0]) * 1e-9,
+        position=joints.position + error * np.eye(len(robot.joints))[1],
+        effort=joints.effort,
+    )
+    found = sy.identify(robot, log, sensor_errors="encoder_offset", no_holdout=True, unchecked=True)
+    named = [one for one in found.alarms if one.startswith("encoder offsets are too large")]
+    assert len(named) == is_large
+    assert all(f"{robot.joint_names[1]} (" in one for one in named)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_gains_of_coupled_drives(robot, model, seed):
     drive = np.array([0.0, 1.0, -1.0])
