@@ -34,6 +34,8 @@ FAR = 10 * np.pi
 FASTEST = 300.0
 # Joints that move both ways, this many times each, of which so many never have a negative effort.
 FEWEST_REVERSING, FEWEST_UNSIGNED = 10, 4
+# Spans in which a joint moves at least so that its effort cannot be constant.
+FEWEST_MOVED = 10
 # Efforts of a moving joint with a smaller signal-to-noise ratio are noise: 6 % of their power is
 # signal.
 LEAST_SIGNAL = 0.25
@@ -78,6 +80,8 @@ class JointCheck:
     _without_position: IntArray = field(init=False)
     _without_effort: IntArray = field(init=False)
     _has_effort: BoolArray = field(init=False)
+    _constant: FloatArray = field(init=False)  # the only effort; NaN before the first
+    _is_constant: BoolArray = field(init=False)
     _is_negative: BoolArray = field(init=False)
     _returns: IntArray = field(init=False)  # jumps to and fro
     _moved: IntArray = field(init=False)  # number of spans with motion down and up
@@ -93,6 +97,8 @@ class JointCheck:
         self._without_position = np.zeros(joints, dtype=np.int64)
         self._without_effort = np.zeros(joints, dtype=np.int64)
         self._has_effort = np.zeros(joints, dtype=bool)
+        self._constant = np.full(joints, np.nan)
+        self._is_constant = np.ones(joints, dtype=bool)
         self._is_negative = np.zeros(joints, dtype=bool)
         self._returns = np.zeros(joints, dtype=np.int64)
         self._moved = np.zeros((2, joints), dtype=np.int64)
@@ -114,6 +120,7 @@ class JointCheck:
         self._without_effort += np.count_nonzero(~is_finite, axis=0)
         self._without_position += np.count_nonzero(~np.isfinite(joints.position[inside]), axis=0)
         self._has_effort |= np.any(is_finite & (joints.effort[inside] != 0.0), axis=0)
+        self._compare_with_constant(joints.effort[inside], is_finite)
         self._is_negative |= np.any(joints.effort[inside] < 0.0, axis=0)
         self._add_efforts(joints.effort[inside])
         self._add_returns(joints.position[inside])
@@ -157,6 +164,20 @@ class JointCheck:
         self._returns += np.count_nonzero(
             (size > JUMP) & (np.abs(rest) < BACK * size) & ~is_wrapped, axis=0
         )
+
+    def _compare_with_constant(self, effort: FloatArray, is_finite: BoolArray) -> None:
+        """Compare efforts (N, J) with the first one of each joint."""
+        if not len(effort):
+            return
+        first = effort[np.argmax(is_finite, axis=0), np.arange(effort.shape[1])]
+        self._constant = np.where(np.isnan(self._constant), first, self._constant)
+        self._is_constant &= ~np.any(is_finite & (effort != self._constant), axis=0)
+
+    @property
+    def _is_stuck(self) -> BoolArray:
+        """Whether an effort (J,) is one value, not zero, although its joint moves."""
+        moves = self._moved.sum(axis=0) >= FEWEST_MOVED
+        return np.asarray(self._has_effort & self._is_constant & moves)
 
     def _add_efforts(self, effort: FloatArray) -> None:
         """Add the squares of successive efforts (N, J) and of their second differences."""
@@ -226,27 +247,32 @@ class JointCheck:
             *self._absent("position", fatal, Severity.UNUSABLE),
             *self._absent("position", [i for i in absent if i not in fatal], Severity.WARNING),
         ]
-        silent = [i for i in driven if not self._has_effort[i]]
+        absent_or_zero = [i for i in driven if not self._has_effort[i]]
+        stuck = [i for i in driven if self._is_stuck[i]]
         # The rows of a floating base and of wrist sensors are usable without any effort.
         has_others = model is not None and bool(model.floating or model.wrist_sensors)
-        is_fatal = len(silent) == len(driven) and not has_others
+        is_fatal = len(absent_or_zero) + len(stuck) == len(driven) and not has_others
         if model is None and not is_fatal:
-            silent = []  # they may be passive
-        for is_zero in (True, False):
-            places = [i for i in silent if (self._without_effort[i] < self._messages) == is_zero]
-            if places:
-                rows = "its row" if len(places) == 1 else "their rows"
-                found.append(
-                    Finding.of(
-                        self.topic,
-                        Kind.MISSING_JOINT,
-                        f"the effort of {self._list_names(places)} is "
-                        f"{'always zero' if is_zero else f'in no {self._kind}'}, {rows} of the "
-                        f"equation of motion cannot be used; {self._remedy('effort')}",
-                        {"joints": len(places)},
-                        Severity.UNUSABLE if is_fatal else Severity.WARNING,
-                    )
+            absent_or_zero = []  # they may be passive
+        reported = {
+            i: f"in no {self._kind}" if self._without_effort[i] == self._messages else "always zero"
+            for i in absent_or_zero
+        }
+        reported |= {i: f"always {self._constant[i]:.6g} although it moves" for i in stuck}
+        for what in sorted(set(reported.values())):
+            places = [i for i in driven if reported.get(i) == what]
+            rows = "its row" if len(places) == 1 else "their rows"
+            found.append(
+                Finding.of(
+                    self.topic,
+                    Kind.MISSING_JOINT,
+                    f"the effort of {self._list_names(places)} is {what}, {rows} of the equation "
+                    f"of motion cannot be used; {self._remedy('effort')}",
+                    {"joints": len(places)},
+                    Severity.UNUSABLE if is_fatal else Severity.WARNING,
                 )
+            )
+        driven = [i for i in driven if i not in stuck]
         found += self._unsigned_findings(driven)
         found += self._noise_findings(driven)
         incomplete = [i for i in driven if self._has_effort[i] and self._without_effort[i]]

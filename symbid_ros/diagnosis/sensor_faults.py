@@ -18,7 +18,7 @@ FEWEST_REPEATS = 20
 # channels without a signal,
 LEAST_CHANGES = 0.9
 # and while another reading changes with this share of its messages, because a simulation without
-# noise may come to rest.
+# noise may come to rest, where its joints slow down first.
 LEAST_MOTION = 0.5
 # A joint rests whose position changes by this share of its typical speed,
 RESTING = 0.05
@@ -142,33 +142,51 @@ class FreezeDetector:
                 # The previous slice shows how this run began.
                 goes_on = continued and first == 0 and not reading.changed[0]
                 start, end = int(reading.stamp[first]), int(reading.stamp[stop - 1])
-                if (goes_on or not reading.is_at_rest(first, stop)) and _others_move(
-                    readings, reading, start, end
-                ):
+                if not goes_on and reading.is_at_rest(first, stop):
+                    continue
+                # All joints that stop abruptly are those of a driver that repeats its last message.
+                if reading.is_position or _others_move(readings, reading, start, end):
                     counts.frozen_messages += stop - first
                     counts.runs.append((start, end))
 
     def findings(self, limited: Container[tuple[str, str]]) -> list[Finding]:
         """Return the frozen readings, except channels (topic, name) that are at a limit."""
         found = []
+        alike = defaultdict[tuple[str, tuple[tuple[int, int], ...]], list[str]](list)
         for (topic, name), counts in self.readings.items():
-            if not counts.is_frozen or (topic, name) in limited:
-                continue
-            duration = sum(end - start for start, end in counts.runs) * 1e-9
-            since = counts.runs[0][0] * 1e-9
-            what = f"{topic}: {name or 'the reading'}"
+            if counts.is_frozen and (topic, name) not in limited:
+                alike[topic, tuple(counts.runs)].append(name)
+        for (topic, runs), names in alike.items():
+            duration = sum(end - start for start, end in runs) * 1e-9
+            since = runs[0][0] * 1e-9
+            what = self._described(topic, names)
             found.append(
                 Finding(
                     Kind.FROZEN,
                     topic,
                     Severity.WARNING,
-                    f"{what} is frozen for {duration:.3g} s in total, first at {since:.3f} s, "
-                    "while other readings change; check the sensor and its driver, and exclude "
-                    "that time",
+                    f"{topic}: {what} {'is' if len(names) == 1 else 'are'} frozen for "
+                    f"{duration:.3g} s in total, first at {since:.3f} s; check the sensor and its "
+                    "driver, and exclude that time",
                     {"frozen_s": duration, "since_s": since},
                 )
             )
         return found
+
+    def _described(self, topic: str, names: Sequence[str]) -> str:
+        """Return which channels of a topic are meant, those of all joints in short."""
+        if not any(names):
+            return "the reading"
+        described = []
+        for kind in ("position", "effort"):
+            start = f"{kind} of "
+            own = [name.removeprefix(start) for name in names if name.startswith(start)]
+            every = sum(where == topic and name.startswith(start) for where, name in self.readings)
+            if own:
+                described.append(
+                    start + ("all joints" if 2 < len(own) == every else ", ".join(own))
+                )
+        return " and ".join(described)
 
     def spans(self, limited: Container[tuple[str, str]]) -> list[FaultSpan]:
         """Return when readings were frozen, except channels (topic, name) that are at a limit."""

@@ -21,6 +21,8 @@ SUSPICIOUS_MODEL_SCALE = 20.0
 SUSPICIOUS_WHITENESS = 1.4
 # Growth of the residuals by constraints. It is at most 1.07 in logs of eleven real robots.
 SUSPICIOUS_GROWTH = 1.4
+# Deviations of its prior by which an encoder's zero may be found wrong.
+SUSPICIOUS_ZERO = 5.0
 # Largest share of a direction's apparent information that may be noise in the regressor.
 SUSPICIOUS_NOISE = 0.5
 
@@ -43,6 +45,10 @@ class Alarm(StrEnum):
     UNPREDICTED_END = "the log does not predict its own end"
     WRONG_FACTORS = "the efforts have wrong factors"
     WRIST_SENSOR = "times what the efforts of the joints imply"
+    LARGE_OFFSETS = "encoder offsets are too large to be estimated well"
+    RESTING_JOINT = "not move in this log, and the effort"
+    UNJUDGED_FRICTION = "too little motion to judge the friction of"
+    AT_REST = "no joint moves: the log shows the forces in one posture"
 
 
 def is_coloured(whiteness: float, unexplained: Sequence[UnexplainedForce]) -> bool:
@@ -63,6 +69,7 @@ def alarms(
     unexplained: Sequence[UnexplainedForce] = (),
     measurements: PseudoMeasurements | None = None,
     rows: float = np.inf,
+    sensors: tuple[Sequence[str], Sequence[str]] = ((), ()),
 ) -> tuple[str, ...]:
     """Return the alarms that an estimate and its data raise.
 
@@ -80,6 +87,8 @@ def alarms(
         Those of the posterior.
     rows : float
         Number of rows of all coordinates.
+    sensors : tuple of sequences of str
+        Names and units of the sensor errors.
     """
     found = []
     if not determines_any(
@@ -117,6 +126,7 @@ def alarms(
             "forces is wrong, or a support without a sensor carries weight"
         )
     found += _contradicted_limits(posterior, value, rows)
+    found += _large_offsets(posterior, sensors, value, parameters)
     return tuple(found)
 
 
@@ -132,6 +142,32 @@ def _contradicted_limits(posterior: Posterior, value: FloatArray, rows: float) -
         f"{Alarm.LIMITS} and drives that take power: with "
         f"these the residuals are {growth:.1f} times as large as without; signs, units or zeros of "
         "joints, or the kinematics are wrong",
+    )
+
+
+def _large_offsets(
+    posterior: Posterior,
+    sensors: tuple[Sequence[str], Sequence[str]],
+    value: FloatArray,
+    first: int,
+) -> tuple[str, ...]:
+    """Return the alarm about zeros of encoders that err by far more than their prior states.
+
+    Gravity hardly tells such an error from other first moments of the links, so that the prior
+    holds it back, and the links take the rest.
+    """
+    deviations = (value - posterior.prior.mean) / posterior.prior.std
+    found = [
+        f"{name.rpartition('/')[0]} ({value[index]:.3g} {unit}, {abs(deviations[index]):.0f} times "
+        "what is assumed)"
+        for index, (name, unit) in enumerate(zip(*sensors, strict=True), first)
+        if name.endswith("/encoder_offset") and abs(deviations[index]) > SUSPICIOUS_ZERO
+    ]
+    if not found:
+        return ()
+    return (
+        f"{Alarm.LARGE_OFFSETS}: {', '.join(found)}; the true ones are probably larger, and first "
+        "moments of links take the rest: correct the joints' zeros in the driver",
     )
 
 

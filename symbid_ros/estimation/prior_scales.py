@@ -118,14 +118,16 @@ def _minimum(cost: Callable[[FloatArray], _Cost], start: FloatArray) -> FloatArr
     """Return where logarithms of factors (k,), near a start and within ``SCALES``, cost least.
 
     Newton steps that go downhill where the cost is concave too (Dauphin et al. 2014, NIPS 27), and
-    are halved until the cost falls.
+    are halved until the cost falls. Along a direction in which the cost hardly bends, such as a
+    factor on which nothing depends, the step is at most the longest one.
     """
     logs = start
     value, gradient, bend = cost(logs)
     for _ in range(SEARCH_STEPS):
         values, V = np.linalg.eigh(bend)
         along = V.T @ gradient
-        size = np.maximum(np.abs(values), np.finfo(float).tiny)
+        size = np.maximum(np.abs(values), np.abs(along) / LONGEST_STEP)
+        size = np.maximum(size, np.finfo(float).tiny)
         if along @ (along / size) < LEAST_FALL:
             break
         step = -V @ (along / size)

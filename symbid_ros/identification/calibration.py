@@ -43,9 +43,16 @@ OPEN_SCALE, WIDE = 0.1, 30.0
 ASSUMED_STD = 0.01
 ASSUMED = (
     "the log leaves the common scale of efforts, masses and friction open: it is that of the model "
-    "file's masses, and standard deviations do not include its error; give a log with a known "
-    "`payload`, leave a calibrated joint out of `drive_gain`, or give the `total_mass` of a "
-    "floating robot"
+    "file's masses, and standard deviations do not include its error; "
+)
+GIVE = "leave a calibrated joint out of `drive_gain`, or give the `total_mass` of a floating robot"
+WITH_PAYLOAD = "give a log with a known `payload`, " + GIVE
+WITHOUT_PAYLOAD = (
+    "the `payload` is carried all the time and acts like a part of its link: give a log without it "
+    "as well, " + GIVE
+)
+LONGER = (
+    "the payload changes the efforts too little: give longer logs or a heavier payload, " + GIVE
 )
 # Deflection of an elastic joint under its root mean square effort, rad or m: a prior deviation. An
 # effort below this share of the largest counts as that.
@@ -277,7 +284,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
         if request.factors is not None and request.factors.tell_scale and scale is None:
             scale = _scale_row(request.factors, errors, prior.mean[p:], p)
             if is_undetermined(scale, observations, prior, pseudo_measurements, p):
-                remarks = (ASSUMED,)
+                remarks = (open_scale_remark(parameters, dataset),)
                 extended = extended.with_row(scale / ASSUMED_STD, 1 / ASSUMED_STD)
                 pseudo_measurements = extended.with_closure(stances, point)
         found = posterior(
@@ -346,6 +353,16 @@ def compliance_std(efforts: FloatArray) -> FloatArray:
     size = np.sqrt(np.mean(np.nan_to_num(efforts) ** 2, axis=0))
     std: FloatArray = DEFLECTION / np.maximum(size, max(LEAST_EFFORT * size.max(), 1e-9))
     return std
+
+
+def open_scale_remark(parameters: ParameterSet, dataset: Dataset) -> str:
+    """Return a remark that a log leaves the common scale open, and what would determine it."""
+    if not parameters.payloads:
+        return ASSUMED + WITH_PAYLOAD
+    spans = stamp_spans(dataset.segments)
+    first, last = spans[0][0], spans[-1][1]
+    is_always = all(one.start <= first and last < one.stop for one in parameters.payloads)
+    return ASSUMED + (WITHOUT_PAYLOAD if is_always else LONGER)
 
 
 def _scale_row(

@@ -80,6 +80,8 @@ class AlignedLog:
         Receives every segment when it is first read.
     jobs : int
         With more than one, the next segment is read by a thread while one is used.
+    warns : bool
+        Whether faults and what is left out are logged.
 
     Raises
     ------
@@ -97,10 +99,12 @@ class AlignedLog:
         checks: StreamChecks | None = None,
         watch: Callable[[Segment], None] | None = None,
         jobs: int = 1,
+        warns: bool = True,
     ) -> None:
         self._log, self._model = log.of_robot(model), model
         self._span, self._most_kept = span, most_kept
         self._checks, self._watch, self._jobs = checks, watch, jobs
+        self._warns = warns
         self._kept: SegmentStore | None = None
         self._has_been_read = False
 
@@ -109,7 +113,7 @@ class AlignedLog:
             yield from self._kept
             return
         kept: SegmentStore | None = SegmentStore(self._most_kept)
-        segments = self._read(warn=not self._has_been_read)
+        segments = self._read(warn=self._warns and not self._has_been_read)
         for segment in read_ahead(segments) if self._jobs > 1 else segments:
             if self._watch is not None and not self._has_been_read:
                 self._watch(segment)

@@ -15,6 +15,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.regressor import Rows, coulomb_column, equation_of_motion
 from symbid_ros.errors import OptionError
+from symbid_ros.estimation.observations import Observations
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
@@ -33,6 +34,9 @@ SPREAD = 1.0
 CALIBRATED = 0.1
 # Number of joints whose efforts the links must explain for first guesses to tell a common scale.
 LEAST_EXPLAINED = 1.0
+# Combinations of loads and offsets of wrist sensors that change the readings by less than this
+# share of others are left as they are.
+LEAST_SHOWN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,39 @@ def named_joints(names: Sequence[str], model: RobotModel) -> tuple[str, ...]:
     return tuple(name for name in driven if name in names)
 
 
+def with_measured_loads(
+    phi: FloatArray, observations: Observations, parameters: ParameterSet
+) -> FloatArray:
+    """Return parameters in which wrist sensors have weighed the bodies beyond them.
+
+    The model file may lack a tool, whose weight the drives carry nevertheless.
+
+    Parameters
+    ----------
+    phi : (p,) float64
+        The prior's mean.
+    observations : Observations
+        Rows of the log; those of wrist sensors contain no effort of a drive.
+    parameters : ParameterSet
+    """
+    model, layout = parameters.model, observations.layout
+    moment = np.zeros((len(phi) + 1, len(phi) + 1))
+    for place in model.wrist_sensors.values():
+        for coordinate in range(place.start, place.stop):
+            row = 6 * model.floating + coordinate
+            used = np.append(layout.columns[row], len(phi))
+            factor = observations.rows.coordinate_factor(row)
+            moment[np.ix_(used, used)] += factor.T @ factor
+    size = np.sqrt(moment.diagonal()[:-1])
+    shown = size > 0
+    size = size[shown]
+    K = moment[:-1, :-1][np.ix_(shown, shown)] / np.outer(size, size)
+    y = (moment[:-1, -1] - moment[:-1, :-1] @ phi)[shown] / size
+    found = phi.copy()
+    found[shown] += np.linalg.pinv(K, rcond=LEAST_SHOWN**2, hermitian=True) @ y / size
+    return found
+
+
 def initial_factors(
     segments: Iterable[Segment], parameters: ParameterSet, phi: FloatArray, joints: tuple[str, ...]
 ) -> InitialFactors:
@@ -123,7 +160,7 @@ def initial_factors(
         The log.
     parameters : ParameterSet
     phi : (p,) float64
-        The prior's mean.
+        The prior's mean, with the loads that wrist sensors measure.
     joints : tuple of str
         Joints whose factor is unknown.
     """

@@ -17,11 +17,11 @@ from symbid_ros.estimation.effort_columns import EffortColumns
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, stacked
 from symbid_ros.identification.calibration import (
-    ASSUMED,
     ASSUMED_STD,
     NOISY_CHANNELS,
     error_layout,
     is_undetermined,
+    open_scale_remark,
     padded,
 )
 from symbid_ros.identification.dataset import Dataset, observe
@@ -144,7 +144,7 @@ def identify_gains(
         observations=tuple(columns.linearised(one, whole, gains) for one in raw),
         sensor_units=errors.units,
         calibrated_rows=CalibratingRows(parameters, errors, LinearizationPoint(whole, gains)),
-        remarks=(ASSUMED,) if unknowns.holds_scale else (),
+        remarks=(open_scale_remark(parameters, dataset),) if unknowns.holds_scale else (),
     )
     choice = solver.problem.choice
     if choice is None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.findings import OF_READINGS
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.unexplained import force_text
 from symbid_ros.identification.joint_readings import find_readings
@@ -23,6 +24,8 @@ from symbid_ros.signals.segments import Segment
 # Share of a joint's measured effort (RMS) above which its residual counts as all of it, fewest
 # rows, and largest share of the noise of averaged efforts.
 ALL, FEWEST_ROWS, NOISE = 0.9, 20, 0.1
+# The same share for a joint whose friction could not be judged, which may be what is missing.
+MUCH = 0.3
 # Correlation of effort and velocity below which the effort opposes the motion.
 OPPOSED = -0.3
 
@@ -33,7 +36,8 @@ def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Iden
     Alarms about joints are those of a fixed base that move and whose effort is not predicted at
     all, and those at rest whose effort is not predicted. If there is any alarm, the log is searched
     for joints that it exchanges or reverses; if there are any, no other cause is tried, because
-    their readings would distort it.
+    their readings would distort it, that alarm comes first, and findings of the checks that depend
+    on the readings are left out.
     """
     if found.estimate.verdict is None:
         return found
@@ -41,24 +45,39 @@ def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Iden
     resting = unpredicted_at_rest(problem.solver, segments, found.estimate.residual_rmse)
     if model.floating:  # noise of wrenches adds to that of efforts
         return explained(problem, found, FROZEN if resting else "")
-    named, added = set[str](), []
-    unpredicted = _unpredicted(problem, found)
+    named = set[str]()
+    unpredicted, unjudged = _unpredicted(problem, found)
     readings = None
     if (found.alarms or unpredicted or resting) and not problem.options.drive_gains:
         readings = find_readings(tuple(segments), model)
-    if readings is not None:
-        added.append(readings.alarm)
-        named = {*readings.exchanged, *readings.reversed_joints, *readings.reversed_efforts}
     cause = WRONG_READINGS if readings is not None else FROZEN if resting else ""
     found = explained(problem, found, cause)
+    alarms = [*found.alarms]
+    if readings is not None:
+        depends = {one.message for one in problem.checks.findings if one.kind in OF_READINGS}
+        alarms = [one for one in alarms if one not in depends]
+        follows = "; the other alarms may follow from this" if alarms else ""
+        alarms.insert(0, readings.alarm + follows)
+        named = {*readings.exchanged, *readings.reversed_joints, *readings.reversed_efforts}
     if at_rest := [name for name in resting if name not in named]:
-        added.append(resting_alarm(at_rest))
-    added += [alarm for name, alarm in unpredicted.items() if name not in named]
-    return found.with_alarms((*found.alarms, *added))
+        alarms.append(resting_alarm(at_rest))
+    alarms += [alarm for name, alarm in unpredicted.items() if name not in named]
+    if missing := [one for name, one in unjudged.items() if name not in named]:
+        alarms.append(
+            f"{Alarm.UNJUDGED_FRICTION} {', '.join(missing)}, although the efforts are clear of "
+            "noise: record longer"
+        )
+    return found.with_alarms(tuple(alarms))
 
 
-def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str]:
-    """Return an alarm for each joint that moves and whose effort is not predicted."""
+def _unpredicted(
+    problem: LoadedProblem, found: Identification
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Return an alarm for each joint whose effort is not predicted.
+
+    Of joints whose friction could not be judged, the second dictionary has the sizes of what is not
+    predicted.
+    """
     solved, rows = problem.solver.problem, problem.solver.chosen
     model = solved.parameters.model
     counts = rows.counts.diagonal()
@@ -66,21 +85,28 @@ def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str
     left = found.estimate.residual_rmse
     # Efforts whose factor is identified are not measured in Nm.
     joints = {one for one in model.joint_names if f"{one}/drive_gain" not in solved.sensor_names}
+    short = () if solved.choice is None else solved.choice.unjudged
     doubted = {
         name: size
         for name, size, count in zip(rows.layout.coordinates, measured, counts, strict=True)
-        if name in joints and count >= FEWEST_ROWS and left.get(name, 0.0) > ALL * size > 0.0
+        if name in joints
+        and (name in short or count >= FEWEST_ROWS)
+        and left.get(name, 0.0) > (MUCH if name in short else ALL) * size > 0.0
     }
     if not doubted:
-        return {}
+        return {}, {}
     efforts = _Efforts.of(problem.dataset.segments, model)
     is_resting = resting_joints(problem.dataset.segments, model)
-    alarms = {}
+    alarms, unjudged = {}, {}
     for name, size in doubted.items():
         index = model.joint_names.index(name)
         if is_resting[index] or efforts.noise_share(index, rows.window) > NOISE:
             continue
         unit = "Nm" if model.joints[index].kind == "revolute" else "N"
+        if name in short:
+            both = f"{force_text(left[name], unit)} of {force_text(size, unit)}"
+            unjudged[name] = f"{name} ({both} unexplained)"
+            continue
         cause = (
             "the effort opposes the motion, so the sign of one of them is wrong; give `flip_joint` "
             f"{name}, or `effort_scale` {name}:=-1"
@@ -91,7 +117,7 @@ def _unpredicted(problem: LoadedProblem, found: Identification) -> dict[str, str
             f"nothing of the effort of {name} ({force_text(size, unit)}) "
             f"{Alarm.UNPREDICTED_EFFORT} and the effort is clear of noise: {cause}"
         )
-    return alarms
+    return alarms, unjudged
 
 
 @dataclass(frozen=True)

@@ -76,6 +76,8 @@ class TermChoice:
         positive ones.
     window : float or None
         Length of the windows from whose rows the terms were chosen, s; None if no joint has rows.
+    unjudged : tuple of str
+        Joints that moved, but too little to judge their friction.
     """
 
     parameters: ParameterSet
@@ -86,6 +88,7 @@ class TermChoice:
     deviations: FloatArray | None = None
     signed_drives: bool = False
     window: float | None = None
+    unjudged: tuple[str, ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -225,7 +228,19 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
         last.deviations(),
         signed,
         last.rows.window,
+        _moved_too_little(slipping_rows, parameters, slow),
     )
+
+
+def _moved_too_little(
+    slipping: Observations | None, parameters: ParameterSet, slow: BoolArray
+) -> tuple[str, ...]:
+    """Return which of the joints (d,) without enough rows in which they slip have some."""
+    if slipping is None or parameters.model.contacts is not None:
+        return ()
+    counts = slipping.counts.diagonal()[6 * parameters.model.floating + parameters.joints]
+    names = parameters.model.joint_names
+    return tuple(names[joint] for joint in parameters.joints[slow & (counts > 0)].tolist())
 
 
 def candidate_posterior(

@@ -23,7 +23,6 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import reversed_sensor
-from symbid_ros.signals.alignment import warn_once
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
 
@@ -49,8 +48,8 @@ def read_log(
 def first_segments(log: Log, robot: RobotModel, span: int = MINUTE) -> tuple[Segment, ...]:
     """Return the segments of the first ``span`` ns of a log; none if it is faulty."""
     found: list[Segment] = []
-    with suppress(SymbidError), warn_once(muted=True):  # the checks report errors
-        for segment in AlignedLog(log, robot, span=span):
+    with suppress(SymbidError):  # the checks report faults
+        for segment in AlignedLog(log, robot, span=span, warns=False):
             found.append(segment)
             if segment.stamp[-1] - found[0].stamp[0] > span:
                 break

@@ -8,7 +8,7 @@ from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.force_errors import RELEVANT
 from symbid_ros.identification.gain_check import Trial, wrist_sensor_alarms, wrong_factors
-from symbid_ros.identification.holdout import hold_out, rest_at_end
+from symbid_ros.identification.holdout import hold_out, moving_joints, rest_at_end
 from symbid_ros.identification.joint_alarms import with_explained_alarms
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
@@ -30,6 +30,10 @@ NOT_BETTER = "worse", "mixed", "unfit"
 PRIOR_KEPT = (
     "the prior is kept at ±25 % (keep_prior): with the one that the data ask for, the trial erred "
     "more, {}"
+)
+NO_MOTION = (
+    f"{Alarm.AT_REST}, from which those in other postures do not follow, and its end is the same "
+    "posture again; record motion of all joints"
 )
 UNPREDICTED = (
     f"{Alarm.UNPREDICTED_END}: {{}}; record longer and more varied motion, or correct what differs "
@@ -82,8 +86,10 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
             alarm = wrong.alarm
             problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
     found = problem.with_provenance(with_explained_alarms(problem, found))
-    of_end = () if alarm is None else (alarm,)
-    found = found.with_alarms((*found.alarms, *wrist_sensor_alarms(problem), *of_end))
+    last = () if alarm is None else (alarm,)
+    if not problem.columns.model.floating and not moving_joints(problem.dataset.segments).any():
+        last = (*last, NO_MOTION)
+    found = found.with_alarms((*found.alarms, *wrist_sensor_alarms(problem), *last))
     if forces is None:
         forces = _predict_end(problem, found, log.begin)
     found = replace(

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from symbid_ros.arrays import BoolArray
+from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
@@ -80,7 +81,7 @@ def resting_alarm(names: Sequence[str]) -> str:
     """Return the alarm about joints that :func:`unpredicted_at_rest` found."""
     one = len(names) == 1
     return (
-        f"{', '.join(names)} {'does' if one else 'do'} not move in this log, and the effort of "
+        f"{', '.join(names)} {'does' if one else 'do'} {Alarm.RESTING_JOINT} of "
         f"{'this joint' if one else 'these joints'} is not predicted: check whether "
         f"{'its encoder is' if one else 'their encoders are'} frozen, or "
         f"{'its brake' if one else 'their brakes'} closed"

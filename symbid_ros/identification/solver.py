@@ -216,6 +216,7 @@ class Solver:
                 unexplained=self.unexplained,
                 measurements=self._measurements,
                 rows=float(self.chosen.counts.diagonal().sum()),
+                sensors=(self.problem.sensor_names, self.problem.sensor_units),
             ),
         )
 

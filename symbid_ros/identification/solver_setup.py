@@ -23,6 +23,7 @@ from symbid_ros.identification.drive_gains import (
     InitialFactors,
     initial_factors,
     named_joints,
+    with_measured_loads,
 )
 from symbid_ros.identification.gain_iteration import identify_gains
 from symbid_ros.identification.joint_terms import choose_terms
@@ -154,7 +155,10 @@ def first_factors(
     joints = named_joints(options.drive_gains, parameters.model)
     if not joints:
         return None
-    return initial_factors(dataset.segments, parameters, prior.mean, joints)
+    mean = prior.mean
+    if parameters.model.wrist_sensors:
+        mean = with_measured_loads(mean, dataset.observations[0], parameters)
+    return initial_factors(dataset.segments, parameters, mean, joints)
 
 
 def _with_chosen_terms(

@@ -1,13 +1,14 @@
 """What a reader sees first: whether to use the model, its mass, and its error on held-out data."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.identification.calibration import ASSUMED
 from symbid_ros.identification.error_changes import describe_files, percent, percent_change
 from symbid_ros.identification.force_errors import differ_relevantly
 from symbid_ros.identification.holdout import REPEATED
@@ -21,6 +22,10 @@ from symbid_ros.report.shown_log import describe_given, describe_identified_log
 OUTLIER = 3.0
 # Bars that are shown at once; the rest is folded.
 BARS_SHOWN = 12
+OPEN_SCALE = (
+    "The common scale of efforts and masses was not measured: it is that of the model file’s "
+    "masses."
+)
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,13 @@ class Recommendation:
 
 def recommend(estimate: Estimate) -> Recommendation:
     """Return whether to use a model, from its alarms and its error on held-out data."""
+    found = _recommended(estimate)
+    if any(one.startswith(ASSUMED) for one in estimate.remarks):
+        return replace(found, remark=_joined(found.remark, OPEN_SCALE))
+    return found
+
+
+def _recommended(estimate: Estimate) -> Recommendation:
     alarms = () if estimate.verdict is None else estimate.verdict.alarms
     holdout = estimate.holdout
     if alarms:

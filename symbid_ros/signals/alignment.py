@@ -427,7 +427,9 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
     action = (
         "give efforts in Nm (N)" if streams.is_arrays else "let the driver fill JointState.effort"
     )
-    efforts = measured_efforts(stamp, effort, model, longest, topic=topic, remedy=action)
+    efforts = measured_efforts(
+        stamp, position, effort, model=model, longest_gap=longest, topic=topic, remedy=action
+    )
     if not model.floating and not efforts.any_row:
         fault = "no effort of any joint"
         if has_efforts:

@@ -15,6 +15,11 @@ logger = logging.getLogger("symbid_ros.bags")
 CLOCK_JUMP = 1_000_000_000  # ns; messages overtake one another by milliseconds only
 # Larger numbers, in any unit, are not readings. Damaged files hold such numbers.
 LARGEST = 1e9
+# Root mean square of regular intervals' deviations, in periods, from which long ones may be jitter.
+JITTER = 0.1
+# Messages on either side of such an interval that tell jitter from a loss, and periods that their
+# mean delay may change without one, as near the ends of a log.
+NEIGHBOURS, MARGIN = 20, 0.24
 ALWAYS = (-(2**62), 2**62)  # ns; beyond every clock, with room for margins
 
 
@@ -219,7 +224,9 @@ class Intervals:
         Median interval, ns; 0 for fewer than two stamps.
     missing : (max(N - 1, 0),) int64
         Number of messages that would fill each interval of at least 1.5 periods. Messages that
-        repeat the stamp at either end are not missing: they have the wrong stamp.
+        repeat the stamp at either end are not missing: they have the wrong stamp. Nor are any if
+        messages before came earlier, or those behind come later, than one period apart, as with
+        jitter.
     """
 
     stamps: IntArray
@@ -235,6 +242,10 @@ class Intervals:
             return cls(ordered, 0, np.zeros(0, dtype=np.int64))
         period = int(np.median(step))
         missing = np.where(2 * step >= 3 * period, np.rint(step / period) - 1, 0).astype(np.int64)
+        long = np.flatnonzero(missing)
+        regular = step[2 * step < 3 * period] / period - 1
+        if len(long) and len(regular) and np.sqrt(np.mean(regular**2)) > JITTER:
+            missing[long] = np.minimum(missing[long], _lost_at(long, ordered, period))
         if len(ordered) < len(stamps):
             spare = np.bincount(np.searchsorted(ordered, stamps)) - 1
             for index in np.flatnonzero((missing > 0) & (spare[:-1] + spare[1:] > 0)).tolist():
@@ -248,6 +259,24 @@ class Intervals:
     def steps(self) -> IntArray:
         """Lengths of the intervals, ns."""
         return np.diff(self.stamps)
+
+
+def _lost_at(intervals: IntArray, stamps: IntArray, period: int) -> IntArray:
+    """Return by how many periods messages behind some intervals (k,) are late for good.
+
+    A lost message delays all that follow. Jitter delays single ones, which the means of the
+    neighbours' delays hardly contain. A loss delays the neighbours of intervals nearby as well, so
+    that of these only the one with the largest delay counts.
+    """
+    late = stamps - stamps[0] - period * np.arange(len(stamps))
+    near, last = np.arange(NEIGHBOURS), len(stamps) - 1
+    before = np.mean(late[np.maximum(intervals[:, None] - near, 0)], axis=1)
+    after = np.mean(late[np.minimum(intervals[:, None] + 1 + near, last)], axis=1)
+    delays = np.zeros(last)
+    delays[intervals] = delay = (after - before) / period
+    around = intervals[:, None] + np.arange(-(NEIGHBOURS // 2), NEIGHBOURS // 2 + 1)
+    is_largest = delay >= delays[np.clip(around, 0, last - 1)].max(axis=1)
+    return np.where(is_largest, np.maximum(np.rint(delay - MARGIN), 0), 0).astype(np.int64)
 
 
 def find_gaps(stamps: IntArray) -> Gaps:

@@ -1,8 +1,8 @@
 """Detection of joint efforts that were not measured.
 
-Drivers without effort sensors fill JointState.effort with NaN or zeros. The joint's own row of the
-equation of motion is then unusable, while the rows of the base and of other joints are not
-affected.
+Drivers without effort sensors fill JointState.effort with NaN, zeros or another constant. The
+joint's own row of the equation of motion is then unusable, while the rows of the base and of other
+joints are not affected.
 """
 
 import logging
@@ -19,6 +19,8 @@ logger = logging.getLogger(__name__)
 # Rows are dropped for whole spans of the clock, ns. No window crosses their limits, so a log gives
 # the same rows whether it is read at once, in slices or live.
 SPAN = 4_000_000_000
+# rad and m; a joint that moves this far within a span has no constant effort.
+MOVED = 0.1, 0.01
 
 
 @dataclass(frozen=True)
@@ -54,10 +56,11 @@ class MeasuredEfforts:
 
 def measured_efforts(
     stamp: IntArray,
+    position: FloatArray,
     effort: FloatArray,
+    *,
     model: RobotModel,
     longest_gap: float,
-    *,
     topic: str,
     remedy: str,
 ) -> MeasuredEfforts:
@@ -67,6 +70,8 @@ def measured_efforts(
     ----------
     stamp : (N,) int64
         Nanoseconds, increasing.
+    position : (N, J) float64
+        In the model's order, finite.
     effort : (N, J) float64
         In the model's order, NaN where a message has no value; changed in place.
     model : RobotModel
@@ -97,6 +102,16 @@ def measured_efforts(
         if is_zero.any():
             lost[:, index] |= is_zero
             _warn(topic, joint.name, "is always zero", lost[:, index], remedy)
+        changes = np.zeros(len(stamp), dtype=bool)
+        changes[1:] = np.diff(column) != 0.0
+        changes[starts] = False
+        path = position[:, index]
+        travel = np.maximum.reduceat(path, starts) - np.minimum.reduceat(path, starts)
+        is_constant = ~np.logical_or.reduceat(changes, starts) & ~lost[:, index]
+        is_constant &= travel > MOVED[joint.kind == "prismatic"]
+        if is_constant.any():
+            lost[:, index] |= is_constant
+            _warn(topic, joint.name, "never changes while it moves", lost[:, index], remedy)
     return MeasuredEfforts(effort, number[starts], lost)
 
 

@@ -20,6 +20,7 @@ OMEGA = 2 * np.pi  # whole turns in 10 s: sines and cosines are orthogonal
 def stream(position, velocity, effort=1.0):
     """Return the messages of three joints; what is one number or row is repeated."""
     values = [np.broadcast_to(each, (COUNT, 3)).copy() for each in (position, velocity, effort)]
+    values[2] += 1e-3 * np.arange(COUNT)[:, None]  # a constant one would be no measurement
     return JointStream("/joints", NAMES, PERIOD * np.arange(COUNT, dtype=np.int64), *values)
 
 
@@ -291,6 +292,17 @@ def test_a_joint_that_never_has_a_position_matters_only_to_a_model():
     assert found.figures == {"messages": COUNT, "share": 1.0}
 
 
+def test_the_effort_of_a_moving_joint_that_never_changes_is_not_measured():
+    joints = swinging()
+    joints.effort[:, 0] = 12.5
+    (found,) = findings(joints, robot(lower=-np.inf))
+    assert (found.kind, found.severity) == (Kind.MISSING_JOINT, Severity.WARNING)
+    assert "the effort of hip is always 12.5 although it moves, its row" in found.message
+    assert findings(joints)[0].message == found.message  # a passive joint would report zero
+    joints.position[:, 0], joints.velocity[:, 0] = 0.3, 0.0
+    assert findings(joints, robot(lower=-np.inf)) == []
+
+
 def test_joints_without_effort_are_named_by_what_they_report():
     joints = swinging()
     joints.effort[:, 0], joints.effort[:, 1] = 0.0, np.nan
@@ -332,8 +344,8 @@ def test_a_load_that_always_pulls_down_is_no_magnitude():
     """Joints that move one way only, or one with the other sign, are no evidence."""
     names = tuple(f"joint{index}" for index in range(4))
     angle = OMEGA * TIME[:, None] + np.arange(4)
-    effort = np.full((COUNT, 4), 2.0)
-    effort[:, 3] = -2.0
+    effort = np.full((COUNT, 4), 2.0) + 1e-3 * np.arange(COUNT)[:, None]
+    effort[:, 3] *= -1
     stamp = PERIOD * np.arange(COUNT, dtype=np.int64)
     swings = 0.5 * np.sin(angle), 0.5 * OMEGA * np.cos(angle)
     creeps = 0.1 * TIME[:, None] * np.ones(4), np.full((COUNT, 4), 0.1)

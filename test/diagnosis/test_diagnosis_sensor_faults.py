@@ -39,6 +39,12 @@ def test_whole_streams_pass_untouched(streams) -> None:
     assert findings == ()
 
 
+def come_to_rest(joints) -> None:
+    """Let joints slow down before 0.8 s, and start slowly again at 1.2 s."""
+    speed = np.maximum(np.abs(np.arange(COUNT) - 1000.0) - 200.0, 0.0)
+    joints.position[:] = 1e-6 * np.cumsum(speed)[:, None]
+
+
 def test_a_frozen_sensor_leaves_a_gap(streams) -> None:
     (imu,) = streams.imus
     imu.angular_velocity[500:700] = imu.angular_velocity[500]
@@ -74,12 +80,25 @@ def test_an_unloaded_sensor_without_noise_is_not_frozen(streams) -> None:
 
 
 def test_a_robot_at_rest_without_noise_is_not_frozen(streams) -> None:
+    come_to_rest(streams.joints)
     everything = [streams.joints.position, streams.joints.effort]
     everything += [streams.imus[0].angular_velocity, streams.imus[0].linear_acceleration]
     everything += [streams.wrenches[0].force, streams.wrenches[0].torque]
     for values in everything:
         values[800:1200] = values[800]
     assert mask_faulty_messages(streams)[1] == ()
+
+
+def test_a_driver_that_repeats_its_last_message_is_frozen(streams) -> None:
+    """All joints stop abruptly, and nothing else of the robot moves either."""
+    streams.joints.position[:] = 0.3 * np.sin(np.arange(COUNT) * 1e-2)[:, None]
+    for values in (streams.joints.position, streams.joints.effort):
+        values[800:1200] = values[800]
+    alone = replace(streams, imus=(), wrenches=())
+    left, (finding,) = mask_faulty_messages(alone)
+    assert finding.kind is Kind.FROZEN
+    assert "position of a, b are frozen for 0.399 s" in finding.message
+    assert len(left.joints.stamp) == COUNT - 400
 
 
 @pytest.mark.parametrize("step", [0.5, 0.01])
@@ -101,6 +120,7 @@ def test_a_constant_load_at_rest_is_no_limit(streams) -> None:
 
 def test_a_channel_of_nan_does_not_make_the_others_look_frozen(streams) -> None:
     """A robot at rest, without noise, whose driver knows nothing of one joint."""
+    come_to_rest(streams.joints)
     streams.joints.position[:, 0] = streams.joints.effort[:, 0] = np.nan
     everything = [streams.joints.position, streams.joints.effort]
     everything += [streams.imus[0].angular_velocity, streams.imus[0].linear_acceleration]
@@ -162,6 +182,7 @@ def test_a_reading_that_often_repeats_is_not_frozen(streams, period, is_frozen) 
 
 @pytest.mark.parametrize(("share", "is_frozen"), [(0.45, False), (0.55, True)])
 def test_another_reading_must_move_while_one_is_frozen(streams, share, is_frozen) -> None:
+    come_to_rest(streams.joints)
     rest = slice(800, 1200)
     everything = [streams.joints.position, streams.joints.effort]
     everything += [streams.imus[0].angular_velocity, streams.imus[0].linear_acceleration]

@@ -218,6 +218,13 @@ def test_rounding_does_not_change_what_directions_without_rows_get_back():
         np.testing.assert_allclose(other.std, found[0].std, rtol=1e-4)
 
 
+@pytest.mark.filterwarnings("error")
+def test_data_that_say_nothing_leave_the_prior_as_stated():
+    nothing = PriorEvidence(1e-18 * np.ones((2, 3)), 1e-3 * np.ones(2))
+    logs = nothing.scales([np.eye(3), 2 * np.eye(3), np.eye(3)[:, :1]], np.zeros(3))
+    np.testing.assert_allclose(logs, 0.0, atol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["plain", "correlated prior", "weighed", "masked"])
 def test_the_evidence_is_that_of_all_rows_at_once(name, monkeypatch):
     monkeypatch.setattr(production, "WEAK_INFORMATION", 0)

@@ -80,6 +80,18 @@ def test_a_known_payload_fixes_the_scale(robot, model, currents):
     assert not any("common scale" in one for one in result.estimate.remarks)
 
 
+def test_a_payload_that_is_carried_all_the_time_needs_a_log_without_it(robot, model, currents):
+    payload = f"{robot.link_names[-1]},1.5,0.02,-0.1,0.2"
+    fields = {"drive_gain": "all", "no_holdout": True, "unchecked": True, "payload": [payload]}
+    (remark,) = (
+        one
+        for one in sy.identify(model, currents, **fields).estimate.remarks
+        if "common scale" in one
+    )
+    assert "carried all the time" in remark
+    assert "give a log without it" in remark
+
+
 def test_a_payload_of_unknown_place_fixes_the_scale(tmp_path, robot, model, currents):
     mass, place = 1.5, np.array([0.02, -0.1, 0.06])
     phi = robot.phi.copy()
@@ -119,6 +131,22 @@ def test_a_short_log_of_brisk_motion_is_enough(robot, model, seed):
 def test_sensor_errors_need_no_longer_log_than_links(robot, model, kind):
     result = sy.identify(model, brisk(robot), sensor_errors=kind, no_holdout=True)
     assert sy.validate(result, brisk(robot, seed=10)).percent_after < 0.5
+
+
+@pytest.mark.parametrize(("error", "is_large"), [(0.002, False), (0.05, True)])
+def test_a_zero_that_errs_far_beyond_its_prior_raises_an_alarm(robot, error, is_large):
+    """The prior of .11 degrees holds it back, and the links take the rest."""
+    joints = log_of(robot, drives(robot, **FRICTION)).streams().joints
+    log = sy.Log.from_arrays(
+        robot,
+        time=(joints.stamp - joints.stamp[0]) * 1e-9,
+        position=joints.position + error * np.eye(len(robot.joints))[1],
+        effort=joints.effort,
+    )
+    found = sy.identify(robot, log, sensor_errors="encoder_offset", no_holdout=True, unchecked=True)
+    named = [one for one in found.alarms if one.startswith("encoder offsets are too large")]
+    assert len(named) == is_large
+    assert all(f"{robot.joint_names[1]} (" in one for one in named)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

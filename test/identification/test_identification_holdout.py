@@ -13,7 +13,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.dataset import AlignedLog
-from symbid_ros.identification.holdout import repeated_share
+from symbid_ros.identification.holdout import AT_REST, repeated_share
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.data_summary import verdict_entries
@@ -48,6 +48,22 @@ def identified(robot, log, **options) -> sy.Result:
 @pytest.fixture(scope="module")
 def result(robot, wrong) -> sy.Result:
     return identified(wrong, sy.Log.from_streams(streams(robot)))
+
+
+def test_a_log_of_one_posture_raises_an_alarm(robot, result):
+    """Its end is the same posture, so that it cannot show that the model errs in others."""
+    rng = np.random.default_rng(0)
+    size = (4000, len(robot.joints))
+    posture, load = rng.normal(size=(2, size[1]))
+    log = sy.Log.from_arrays(
+        robot,
+        time=np.arange(size[0]) / RATE,
+        position=posture + 2e-5 * rng.normal(size=size),
+        effort=load + 0.03 * rng.normal(size=size),
+    )
+    for options in ({}, {"no_holdout": True}):
+        assert AT_REST in identified(robot, log, **options).alarms
+    assert AT_REST not in result.alarms
 
 
 def segment(position, start=0) -> Segment:

@@ -1,14 +1,19 @@
 """The likely cause of correlated residuals, against the fault that was put into the log."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from drive_logs import SECONDS, arm, drives, log_of
 
 import symbid_ros as sy
+from symbid_ros.diagnosis.findings import Finding, Kind
 from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS
+from symbid_ros.identification.loaded_problem import load_problem
+from symbid_ros.identification.log_checks import LogChecks
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.pipeline import identify_problem
 
 GAIN, DELAY, OFFSET = 1.1, 0.02, 4.0  # s, degrees
 JOINT = 2
@@ -181,6 +186,18 @@ def test_an_effort_that_is_not_predicted_at_all_raises_an_alarm(robot, change):
     assert all("`flip_joint` joint_2, or `effort_scale` joint_2:=-1" in one for one in alarms)
 
 
+def test_friction_that_a_short_log_cannot_judge_raises_an_alarm(robot):
+    """Unmodelled friction is most of an effort, but shows neither signs nor exchanged joints."""
+    truth = drives(robot, viscous=0.4, coulomb=8.0)
+    for seconds, is_short in ((1.2, True), (SECONDS, False)):
+        log = log_of(robot, truth, seconds=seconds)
+        found = sy.identify(robot, log, no_holdout=True, unchecked=True)
+        alarms = [one for one in found.alarms if "friction of" in one]
+        assert len(alarms) == is_short
+        assert all("unexplained" in one and "record longer" in one for one in alarms)
+        assert not any("nothing of the effort" in one for one in found.alarms)
+
+
 def backwards(_, position, effort):
     position = position.copy()
     position[:, JOINT] *= -1
@@ -189,7 +206,26 @@ def backwards(_, position, effort):
 
 def test_an_alarm_names_a_reversed_joint(robot):
     found = identify(robot, Fault("", change=backwards))
-    assert any(one.endswith("; give `flip_joint` joint_2") for one in found.alarms)
+    first, *others = found.alarms
+    assert "give `flip_joint` joint_2" in first
+    assert ("the other alarms may follow" in first) == bool(others)
+
+
+def test_a_reversed_joint_is_not_reported_as_a_wrong_zero(robot):
+    """Its readings look like a large error of the zero as well; the rate is another matter."""
+    readings = log_of(robot, drives(robot, viscous=0.4), seconds=SECONDS).streams().joints
+    time = (readings.stamp - readings.stamp[0]) * 1e-9
+    position, effort = backwards(time, readings.position, readings.effort)
+    log = sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
+    options = IdentifyOptions(no_holdout=True, unchecked=True)
+    zero = Finding.of("joints", Kind.ENCODER_OFFSET, "reads 43 degrees too little", {})
+    stamps = Finding.of("joints", Kind.JITTER, "the stamps jitter", {})
+    problem = replace(load_problem(robot, log, options), checks=LogChecks((zero, stamps)))
+    _, found = identify_problem(problem)
+    alarms = found.estimate.verdict.alarms
+    assert f"give `flip_joint` joint_{JOINT}" in alarms[0]
+    assert stamps.message in alarms
+    assert zero.message not in alarms
 
 
 @pytest.mark.parametrize("stride", [1, 5])

@@ -134,6 +134,16 @@ def test_a_reversed_sensor_that_is_not_named_does_not_accuse_the_efforts(arm, me
     assert any("the wrench at tool0" in one and "torque_gain" in one for one in found.left_out)
 
 
+def test_the_scale_of_unknown_drive_gains_contains_the_payload(true_arm, measured):
+    """The drives carry a payload that the model file lacks, and the sensor weighs it."""
+    factors = np.array([2.0, 0.5, 4.0, 1.0, 0.25, 3.0])
+    log = log_of(true_arm, replace(measured, effort=measured.effort / factors), measured.wrench)
+    found = identify(true_arm, log, wrist_sensor=(FRAME,), drive_gain="all", **FAST)
+    gains = [one.value for one in found.estimate.verdict.sensors]
+    np.testing.assert_allclose(gains, factors, rtol=0.03)
+    assert_payload(found, FRAME)
+
+
 def late_log(arm, measured, late):
     """Return the log of a sensor whose wrenches come ``late`` samples after the motion."""
     return log_of(arm, measured, np.roll(measured.wrench, late, axis=0))

@@ -8,6 +8,7 @@ from report_pages import VERDICT, content, content_of_a_log
 
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.estimation.unexplained import UnexplainedForce
+from symbid_ros.identification.calibration import ASSUMED, WITH_PAYLOAD
 from symbid_ros.report.content import MethodResult
 from symbid_ros.report.first_screen import (
     error_bars,
@@ -114,6 +115,12 @@ class TestRecommendation:
         found = recommend(estimate(repeats=0.95))
         assert found.kind == "good"
         assert "repeats itself" in found.remark
+
+    def test_a_scale_that_was_not_measured_is_said(self):
+        shown = replace(estimate(), remarks=(ASSUMED + WITH_PAYLOAD,))
+        found = recommend(shown)
+        assert found.kind == "good"
+        assert "scale of efforts and masses was not measured" in found.remark
 
     @pytest.mark.parametrize("tried", [False, True])
     def test_without_held_out_data_validation_is_advised(self, tried):

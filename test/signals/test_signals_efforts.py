@@ -79,6 +79,7 @@ def assert_alike(blocks, others, lost) -> None:
         (NAN, "joint_1 is missing or not finite"),
         (np.inf, "or not finite"),
         (0.0, "joint_1 is always zero"),
+        (12.5, "joint_1 never changes while it moves"),
     ],
 )
 def test_a_driven_joint_without_effort_loses_only_its_own_row(caplog, value, says) -> None:
@@ -90,6 +91,14 @@ def test_a_driven_joint_without_effort_loses_only_its_own_row(caplog, value, say
     assert_alike(rows_of(model, silent), whole, dict.fromkeys(range(3), (7,)))
     assert says in caplog.text
     assert "its row of the equation of motion is dropped" in caplog.text
+
+
+def test_a_constant_effort_at_rest_is_a_measurement() -> None:
+    model = robot()
+    still = streams_of(model)
+    still.joints.position[:, 1] = 0.3
+    still.joints.effort[:, 1] = 12.5
+    assert all(block.valid.all() for block in rows_of(model, still))
 
 
 @pytest.mark.parametrize("start", [0, 5])

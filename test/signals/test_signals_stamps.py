@@ -97,6 +97,17 @@ def test_stamps_that_are_all_equal_are_an_error() -> None:
     assert kept_in_order(np.array([5]), DefectCounts("log", "/imu")).tolist() == [0]
 
 
+@pytest.mark.parametrize("lost", [0, 40])
+def test_jitter_is_no_loss(lost: int) -> None:
+    rng = np.random.default_rng(0)
+    index = np.arange(4000)
+    index += index // 100 if lost else 0  # every hundredth is lost
+    early = rng.uniform(-0.5, 0.5, len(index))
+    found = find_gaps(np.rint((index + early) * PERIOD).astype(np.int64))
+    assert np.sum(np.diff(index + early) >= 1.5) > 300
+    assert 0.8 * lost <= found.missing <= lost
+
+
 @pytest.mark.parametrize(("step", "gaps", "missing"), [(1.4, 0, 0), (1.5, 1, 1), (2.6, 1, 2)])
 def test_a_gap_is_at_least_one_and_a_half_periods(step: float, gaps: int, missing: int) -> None:
     stamps = np.concatenate([np.arange(10), 9 + step + np.arange(10)]) * PERIOD
