@@ -30,6 +30,9 @@ MOST_JOINTS = 20  # every pair is tried
 DRIVEN, MOST_OF_IT = 0.5, 0.5
 # Signs of position and effort that are tried for each joint.
 REVERSALS = (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)
+# The same with measured wrenches: one with the wrong sign, as of a payload, looks like an effort
+# with the wrong sign.
+REVERSALS_BESIDE_WRENCHES = REVERSALS[:2]
 
 
 @dataclass(frozen=True)
@@ -181,9 +184,11 @@ def find_readings(segments: Sequence[Segment], robot: RobotModel) -> JointReadin
         return None
     first = rows.fit()
     explained = first.shares[moving].max() < EXPLAINED
-    found = None if explained else _likelier(readings, rows, moving, read)
+    has_wrenches = any(one.wrench_frames for one in blocks)
+    reversals = REVERSALS_BESIDE_WRENCHES if has_wrenches else REVERSALS
+    found = None if explained else _likelier(readings, rows, moving, reversals, read)
     readings, best = found or (readings, first)
-    for joint in moving:
+    for joint in () if has_wrenches else moving:
         if best.power[joint] < -DRIVEN and best.shares[joint] < MOST_OF_IT:
             readings = readings.with_reversed(joint, 1.0, -1.0)
     readings = replace(readings, unexplained=best.unexplained)
@@ -194,6 +199,7 @@ def _likelier(
     readings: JointReadings,
     rows: LooseRows,
     moving: Sequence[int],
+    reversals: Sequence[tuple[float, float]],
     read: Callable[[JointReadings], LooseRows | None],
 ) -> tuple[JointReadings, LooseFit] | None:
     """Return readings that explain the efforts much better, with their fit; None if none do."""
@@ -202,7 +208,7 @@ def _likelier(
     while True:
         tried = [
             (found.fit(), changed, joint)
-            for changed, joint in _changes(readings, moving)
+            for changed, joint in _changes(readings, moving, reversals)
             if (found := read(changed)) is not None
         ]
         fit, changed, joint = min(tried, key=lambda one: one[0].cost, default=(best, readings, -1))
@@ -219,11 +225,11 @@ def _likelier(
 
 
 def _changes(
-    readings: JointReadings, moving: Sequence[int]
+    readings: JointReadings, moving: Sequence[int], reversals: Sequence[tuple[float, float]]
 ) -> Iterator[tuple[JointReadings, int | None]]:
     """Yield readings with a pair of joints exchanged or a joint reversed, and the latter joint."""
     for one, other in combinations(moving, 2):
         yield readings.with_exchanged(one, other), None
     for joint in moving:
-        for signs in REVERSALS:
+        for signs in reversals:
             yield readings.with_reversed(joint, *signs), joint

@@ -205,7 +205,7 @@ def test_a_wrist_whose_friction_would_drive_it_has_the_wrong_sign(tmp_path, sign
     assert ("joint_readings" in kinds) == (sign < 0)
     alarms = sy.identify(arm, log, no_holdout=True).alarms
     said = "give `effort_scale` wrist_3_joint:=-1.0"
-    assert any(one.endswith(said) for one in alarms) == (sign < 0)
+    assert any(said in one for one in alarms) == (sign < 0)
     assert sign > 0 or not any("likely cause" in one for one in alarms)
 
 

@@ -496,12 +496,3 @@ def test_a_prior_with_any_numbers_is_used_or_rejected_in_one_line(data, tmp_path
     except SymbidError as error:
         said = str(error)
     assert "\n" not in said
-
-
-def test_deviations_of_joint_terms_are_those_of_the_documentation() -> None:
-    page = " ".join((CONFIG.parent / "docs" / "conventions.md").read_text().split())
-    *others, last = (
-        f"{JOINT_TERMS[term].std:g} {JOINT_TERMS[term].units[0].replace('^2', '²')}"
-        for term in TERMS
-    )
-    assert f"standard deviations of {', '.join(others)} and {last}." in page

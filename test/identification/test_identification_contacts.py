@@ -296,7 +296,7 @@ def test_wrenches_alone_identify_a_robot_whose_drives_measure_nothing(robot, tru
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"contact": ("foot:heel",)}, "no contact"),
+        ({"contact": ("foot:heel",)}, "not a contact"),
         ({"contact": ("foot",), "joint_terms": ("load",)}, "name other terms"),
         ({"contact": ("foot",), "sensor_errors": ("typical",)}, "nothing|no reading"),
     ],

@@ -187,5 +187,5 @@ def test_a_saved_result_predicts_the_sensor_and_merges(arm, measured, tmp_path):
 
 def test_a_log_without_the_sensor_is_refused(arm, measured):
     log = log_of(arm, measured, measured.wrench, frame="ee_link")
-    with pytest.raises(DataError, match=r"no WrenchStamped topic has the frame tool0 .*ee_link"):
+    with pytest.raises(DataError, match=r"no array of wrenches has the frame tool0 .*ee_link"):
         identify(arm, log, wrist_sensor=(FRAME,), **FAST)
