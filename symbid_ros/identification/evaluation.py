@@ -31,7 +31,7 @@ SAMPLES_AT_ONCE = 1024  # samples whose rows are in memory at a time
 # Of the forces, RMS, what a true robot may leave: integration of friction leaves 0.00005, inertias
 # that are wrong by 1 % leave 0.004.
 UNEXPLAINED = 0.002
-# Standard deviations of the correlation of white noise, from which on a correlation is none of it.
+# A correlation beyond this many standard deviations of that of white noise is not due to noise.
 SIGNIFICANT = 5.0
 
 

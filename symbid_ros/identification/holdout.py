@@ -120,8 +120,8 @@ def repeated_share(training: Iterable[Segment], held_out: Iterable[Segment]) -> 
     if not before or not after:
         return 0.0
     every = np.concatenate(before)
-    std = every.std(axis=0)
-    moves = np.tile(_is_moving(every), 2) & (std > 0)
+    joints, std = every.shape[1] // 2, every.std(axis=0)
+    moves = np.tile(std[:joints] > REST, 2) & (std > 0)
     if not moves.any():
         return 1.0
     queries = np.concatenate(after)[:, moves] / std[moves]
@@ -136,19 +136,6 @@ def repeated_share(training: Iterable[Segment], held_out: Iterable[Segment]) -> 
         _distance(queries, points, nearest, ends), _distance(queries, points, nearest - 1, ends)
     )
     return float(np.mean(distance <= NEAR * np.sqrt(np.count_nonzero(moves))))
-
-
-def moving_joints(segments: Iterable[Segment]) -> BoolArray:
-    """Return which joints (J,) of a log move; all if it is too short to tell."""
-    states = _states(segments)
-    return _is_moving(np.concatenate(states)) if states else np.ones(1, dtype=bool)
-
-
-def _is_moving(states: FloatArray) -> BoolArray:
-    """Return which joints move in states (N, 2 J)."""
-    joints = states.shape[1] // 2
-    moves: BoolArray = states[:, :joints].std(axis=0) > REST
-    return moves
 
 
 def _states(segments: Iterable[Segment]) -> list[FloatArray]:

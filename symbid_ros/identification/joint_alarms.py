@@ -13,8 +13,8 @@ from symbid_ros.identification.joint_readings import find_readings
 from symbid_ros.identification.likely_cause import FROZEN, WRONG_READINGS, explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.resting_joints import (
+    motionless_joints,
     resting_alarm,
-    resting_joints,
     unpredicted_at_rest,
 )
 from symbid_ros.identification.solver import Identification
@@ -35,21 +35,21 @@ def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Iden
 
     Alarms about joints are those of a fixed base that move and whose effort is not predicted at
     all, and those at rest whose effort is not predicted. If there is any alarm, the log is searched
-    for joints that it exchanges or reverses; if there are any, no other cause is tried, because
-    their readings would distort it, that alarm comes first, and findings of the checks that depend
-    on the readings are left out.
+    for joints that it exchanges or reverses. If there are any, that alarm comes first. Because
+    their readings would distort other causes, none is tried, and findings of the checks that
+    depend on the readings are left out.
     """
     if found.estimate.verdict is None:
         return found
-    model, segments = problem.solver.problem.parameters.model, problem.dataset.segments
-    resting = unpredicted_at_rest(problem.solver, segments, found.estimate.residual_rmse)
+    model, dataset = problem.solver.problem.parameters.model, problem.dataset
+    resting = unpredicted_at_rest(problem.solver, dataset, found.estimate.residual_rmse)
     if model.floating:  # noise of wrenches adds to that of efforts
         return explained(problem, found, FROZEN if resting else "")
     named = set[str]()
     unpredicted, unjudged = _unpredicted(problem, found)
     readings = None
     if (found.alarms or unpredicted or resting) and not problem.options.drive_gains:
-        readings = find_readings(tuple(segments), model)
+        readings = find_readings(tuple(dataset.segments), model)
     cause = WRONG_READINGS if readings is not None else FROZEN if resting else ""
     found = explained(problem, found, cause)
     alarms = [*found.alarms]
@@ -96,7 +96,7 @@ def _unpredicted(
     if not doubted:
         return {}, {}
     efforts = _Efforts.of(problem.dataset.segments, model)
-    is_resting = resting_joints(problem.dataset.segments, model)
+    is_resting = motionless_joints(problem.dataset.samples.position, model)
     alarms, unjudged = {}, {}
     for name, size in doubted.items():
         index = model.joint_names.index(name)

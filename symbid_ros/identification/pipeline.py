@@ -8,7 +8,7 @@ from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.force_errors import RELEVANT
 from symbid_ros.identification.gain_check import Trial, wrist_sensor_alarms, wrong_factors
-from symbid_ros.identification.holdout import hold_out, moving_joints, rest_at_end
+from symbid_ros.identification.holdout import hold_out, rest_at_end
 from symbid_ros.identification.joint_alarms import with_explained_alarms
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
@@ -19,6 +19,7 @@ from symbid_ros.identification.report_series import (
     force_series,
     report_data,
 )
+from symbid_ros.identification.resting_joints import motionless_joints
 from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import validate_segments
 from symbid_ros.progress import report
@@ -87,7 +88,8 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
             problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
     found = problem.with_provenance(with_explained_alarms(problem, found))
     last = () if alarm is None else (alarm,)
-    if not problem.columns.model.floating and not moving_joints(problem.dataset.segments).any():
+    model = problem.columns.model
+    if not model.floating and motionless_joints(problem.dataset.samples.position, model).all():
         last = (*last, NO_MOTION)
     found = found.with_alarms((*found.alarms, *wrist_sensor_alarms(problem), *last))
     if forces is None:

@@ -1,14 +1,14 @@
 """Joints that do not move in a log: their readings cannot show springs, and may be frozen."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray
+from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.estimation.alarms import Alarm
+from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.segments import Segment
 
 # RMS deviation from the mean position of a joint that rests: rad, and m of a slide.
 RESTING_ANGLE, RESTING_TRAVEL = 1e-3, 1e-4
@@ -17,25 +17,17 @@ RESTING_ANGLE, RESTING_TRAVEL = 1e-3, 1e-4
 SHARE, SHARE_OF_CHANGE, FEWEST_ROWS, CLEAR = 0.2, 0.5, 20, 3.0
 
 
-def resting_joints(segments: Iterable[Segment], model: RobotModel) -> BoolArray:
-    """Return which of the J joints do not move in a log."""
-    first, count = None, 0
-    total, square = np.zeros((2, len(model.joints)))
-    for segment in segments:
-        first = segment.position[0] if first is None else first
-        change = segment.position - first  # small numbers, whose squares are exact
-        count += len(change)
-        total += change.sum(axis=0)
-        square += np.sum(change**2, axis=0)
-    if not count:
+def motionless_joints(position: FloatArray, model: RobotModel) -> BoolArray:
+    """Return which of the J joints do not move in a log, from positions (N, J) at few instants."""
+    if not len(position):
         return np.zeros(len(model.joints), dtype=bool)
-    deviation = np.sqrt(np.maximum(square / count - (total / count) ** 2, 0.0))
+    deviation = (position - position[0]).std(axis=0)  # of small numbers, whose squares are exact
     is_slide = np.array([joint.kind == "prismatic" for joint in model.joints])
     return np.asarray(deviation < np.where(is_slide, RESTING_TRAVEL, RESTING_ANGLE))
 
 
 def unpredicted_at_rest(
-    solver: Solver, segments: Iterable[Segment], residual: Mapping[str, float]
+    solver: Solver, dataset: Dataset, residual: Mapping[str, float]
 ) -> tuple[str, ...]:
     """Return the joints of a fixed base that do not move and whose efforts are not predicted.
 
@@ -43,17 +35,20 @@ def unpredicted_at_rest(
     ----------
     solver : Solver
         Of the log.
-    segments : iterable of Segment
+    dataset : Dataset
         The log.
     residual : mapping of str to float
         RMS residual of each coordinate, Nm or N.
     """
     solved, rows = solver.problem, solver.chosen
     model = solved.parameters.model
-    if model.floating or not (is_resting := resting_joints(segments, model)).any():
+    if model.floating:
+        return ()
+    is_resting = motionless_joints(dataset.samples.position, model)
+    if not is_resting.any():
         return ()
     count, total, square, bend, rate = 0, *np.zeros((3, len(model.joints))), 0.0
-    for segment in segments:
+    for segment in dataset.segments:
         effort = np.nan_to_num(segment.effort)
         count += len(effort)
         total += effort.sum(axis=0)

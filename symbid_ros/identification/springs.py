@@ -11,7 +11,7 @@ from symbid_ros.choices import SPRING
 from symbid_ros.estimation.term_evidence import predictive_effects, spring_torques
 from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
 from symbid_ros.identification.dataset import Dataset
-from symbid_ros.identification.resting_joints import resting_joints
+from symbid_ros.identification.resting_joints import motionless_joints
 from symbid_ros.identification.solver import Solver
 
 logger = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ def shows_springs(solver: Solver, dataset: Dataset) -> bool:
     if trial is None:
         return False
     # Where a joint rests, a spring is a constant torque, and noise of the encoder bends it.
-    is_resting = resting_joints(dataset.segments, parameters.model)
+    is_resting = motionless_joints(dataset.samples.position, parameters.model)
     springs = {
         joint: effect
         for joint, effect in spring_torques(parameters).items()

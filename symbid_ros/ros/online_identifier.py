@@ -393,7 +393,7 @@ class OnlineIdentifier:
         return text
 
     def _finish(self) -> None:
-        """Read what has arrived, save the final estimate and print counts as JSON."""
+        """Process all received messages, save the final estimate and print counts as JSON."""
         with collected_warnings() as warnings:
             if not self._receive_until(time.time_ns(), max(LONGEST_DRAIN, self._save_time)):
                 logger.warning(

@@ -1,7 +1,6 @@
 """Joints whose position does not change: at rest, or with a frozen encoder."""
 
 from dataclasses import replace
-from operator import itemgetter
 
 import numpy as np
 import pytest
@@ -9,8 +8,7 @@ from arm_log import arm_streams
 from drive_logs import arm
 
 import symbid_ros as sy
-from symbid_ros.arrays import map_arrays
-from symbid_ros.identification.resting_joints import resting_joints
+from symbid_ros.identification.resting_joints import motionless_joints
 from symbid_ros.signals.alignment import align
 
 
@@ -68,12 +66,6 @@ def test_joints_rest_that_move_by_less_than_a_milliradian(robot):
     for size, rests in ((0.9e-3, True), (1.1e-3, False)):
         wave = size * np.sqrt(2) * np.sin(2 * np.pi * np.arange(count) / count * 7)
         segments = align(with_position(streams, 1, 100.0 + wave), robot)
-        assert resting_joints(segments, robot).tolist() == [False, rests, False]
-        # The same segment by segment.
-        halves = [
-            map_arrays(one, itemgetter(rows))
-            for one in segments
-            for rows in (slice(0, 500), slice(500, None))
-        ]
-        assert resting_joints(halves, robot).tolist() == [False, rests, False]
-    assert not resting_joints((), robot).any()
+        position = np.concatenate([one.position for one in segments])
+        assert motionless_joints(position, robot).tolist() == [False, rests, False]
+    assert not motionless_joints(position[:0], robot).any()
