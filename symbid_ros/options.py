@@ -245,10 +245,18 @@ def refuse_unused(options: Any, reason: str, names: Collection[str] | None = Non
     OptionError
         When one of them differs from its default.
     """
-    for each in options_of(type(options)):
-        is_unused = names is None or each.name in names
-        if is_unused and getattr(options, each.name) != each.default:
-            raise OptionError(f"`{each.name}` has no effect {reason}", "E503")
+    for name in changed(options, names):
+        raise OptionError(f"`{name}` has no effect {reason}", "E503")
+
+
+def changed(options: Any, names: Collection[str] | None = None) -> dict[str, Any]:
+    """Return the values of those options, of all by default, that differ from their defaults."""
+    return {
+        each.name: value
+        for each in options_of(type(options))
+        if (names is None or each.name in names)
+        and (value := getattr(options, each.name)) != each.default
+    }
 
 
 def spelled(message: str, spelling: Callable[[str], str]) -> str:

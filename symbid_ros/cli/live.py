@@ -18,7 +18,7 @@ from symbid_ros.cli.processes import NodeProcess, unused_node_name
 from symbid_ros.errors import OptionError, SymbidError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
-from symbid_ros.options import options_of, spelled
+from symbid_ros.options import changed, spelled
 from symbid_ros.report.formatting import counted
 
 logger = logging.getLogger(__name__)
@@ -91,12 +91,14 @@ def live(
     from symbid_ros.atomic_write import require_no_files
     from symbid_ros.identification.result_files import CALIBRATED, RESULT_FILES
     from symbid_ros.model.load import load_model
-    from symbid_ros.online.initial_state import refuse_unused_live
+    from symbid_ros.online.initial_state import unused_live
     from symbid_ros.shutdown import exit_on_signals, interrupt_on_sigterm
 
     _require_namespace(namespace)
     path = require_model(model, "MODEL")
-    refuse_unused_live(options, log)
+    for name, reason in unused_live(options, log).items():
+        if name not in log.of_robot:  # a robot file also serves commands that read logs
+            raise OptionError(f"{reason}; leave it out", "E503")
     load_model(path, base)  # an error is better shown here than in the log of a node
     if out is not None:
         require_no_files(out, (*RESULT_FILES, *CALIBRATED), overwrite=overwrite)
@@ -214,13 +216,9 @@ def start_page(
 
 def given_parameters(*groups: Any) -> dict[str, object]:
     """Return the options that differ from their defaults, as parameters of the identifier."""
-    given: dict[str, object] = {}
-    for group in groups:
-        for option in options_of(type(group)):
-            value = getattr(group, option.name)
-            if value != getattr(type(group)(), option.name):
-                given[option.name] = _as_parameter(value)
-    return given
+    return {
+        name: _as_parameter(value) for group in groups for name, value in changed(group).items()
+    }
 
 
 def _as_parameter(value: Any) -> object:

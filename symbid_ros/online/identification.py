@@ -343,7 +343,8 @@ class OnlineIdentification:
     def _choose_terms(self, problem: Problem) -> Problem:
         """Return the problem with the joint terms that the data ask for."""
         before = self._terms.slips
-        chosen = self._terms.applied(problem, self._accumulator.blocks.count)
+        blocks, window = self._accumulator.blocks, self._windows[self._accumulator.window]
+        chosen = self._terms.applied(problem, blocks.count, window)
         if before not in (None, self._terms.slips):
             self._monitor.restart()
         return chosen

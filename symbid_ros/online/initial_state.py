@@ -24,7 +24,7 @@ from symbid_ros.identification.tares import Tare
 from symbid_ros.messages.log_options import PART, LogOptions
 from symbid_ros.model.load import model_files
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.options import refuse_unused
+from symbid_ros.options import changed
 
 logger = logging.getLogger(__name__)
 
@@ -108,17 +108,14 @@ class InitialState:
         )
 
 
-def refuse_unused_live(options: IdentifyOptions, log: LogOptions) -> None:
-    """Refuse options that have no effect live.
-
-    Raises
-    ------
-    OptionError
-        When one of them differs from its default.
-    """
-    reason = "live, where messages are used as they arrive; leave it out"
-    refuse_unused(options, reason, {"no_holdout", "full_rate", "jobs"})
-    refuse_unused(log, reason, PART)
+def unused_live(options: IdentifyOptions, log: LogOptions) -> dict[str, str]:
+    """Return what to say of each option that differs from its default and has no effect live."""
+    of_logs = {"no_holdout", "full_rate", "jobs"}
+    given = {**changed(options, of_logs), **changed(log, PART)}
+    return {
+        name: f"`{name}` has no effect live, where messages are used as they arrive"
+        for name in given
+    }
 
 
 def _check_online(options: IdentifyOptions) -> None:

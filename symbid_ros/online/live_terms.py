@@ -34,17 +34,22 @@ class LiveTerms:
         """Whether rows of joints that may stick are left out; None before the first choice."""
         return None if self._choice is None else self._choice.slips
 
-    def applied(self, problem: Problem, count: int) -> Problem:
+    def applied(self, problem: Problem, count: int, window: float) -> Problem:
         """Return a problem with the terms that ``count`` blocks ask for.
 
-        The choice is made again when there are half as many blocks again as at the last one. It
-        takes as long as an estimate.
+        The choice is made again when there are half as many blocks again as at the last one, then
+        from the rows of the present window length, s, alone: a comparison of all takes as long as
+        several estimates.
         """
         problem = self.with_prior(problem, count)
         if not self._parameters.candidates:
             return problem
         if self._choice is None or count >= CHOOSE_AGAIN * self._chosen_at:
-            self._choice, self._chosen_at = choose_terms(problem, self._choice), max(count, 1)
+            before, some = self._choice, problem
+            if before is not None:
+                present = [one for one in problem.observations if one.window == window]
+                some = replace(problem, observations=tuple(present) or problem.observations)
+            self._choice, self._chosen_at = choose_terms(some, before), max(count, 1)
         return self._choice.applied(problem)
 
     def chosen_anew(self, problem: Problem) -> Problem:

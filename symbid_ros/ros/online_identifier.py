@@ -31,7 +31,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.estimate import OnlineEstimate
 from symbid_ros.online.identification import OnlineIdentification, Pace
-from symbid_ros.online.initial_state import InitialState, refuse_unused_live
+from symbid_ros.online.initial_state import InitialState, unused_live
 from symbid_ros.online.tare import TareRecording
 from symbid_ros.ros.estimate_topics import EstimateTopics
 from symbid_ros.ros.identifier_diagnostics import IdentifierDiagnostics
@@ -99,7 +99,9 @@ class OnlineIdentifier:
         model = load_model(*model_of(values))
         options = identify_options(values)
         log = log_options(values)
-        refuse_unused_live(options, log)
+        for reason in unused_live(options, log).values():
+            # A robot file may name it, for logs.
+            node.get_logger().warning(reason)
         topics = TopicSelection.of(log)
         names = ModelNames.of(model)
         check_model_names(topics.mapping, names, has_poses=bool(topics.poses))

@@ -26,6 +26,7 @@ from symbid_ros.online.estimate import OnlineEstimate
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.online.live_streams import LiveStreams
+from symbid_ros.online.live_terms import LiveTerms
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.alignment import align_checked
 
@@ -484,6 +485,21 @@ def test_the_data_of_another_robot_are_named_as_such(tmp_path) -> None:
 def test_options_that_need_a_complete_log_are_refused(start, chosen, says) -> None:
     with pytest.raises(EstimateError, match=says):
         start(**chosen)
+
+
+def test_terms_are_chosen_again_from_the_rows_of_the_present_window_alone(start, feed) -> None:
+    live = start()
+    feed.into(live)
+    live.solve(exactly=True)
+    problem = live._problem_with(live._accumulator.blocks)
+    terms = LiveTerms(problem.parameters)
+    expected = terms.chosen_anew(problem).parameters.names
+    for count, one in enumerate(problem.observations, start=2):
+        applied = terms.applied(problem, count**2, one.window)
+        assert len(applied.observations) == len(problem.observations) == 3
+        assert terms._choice is not None
+        assert terms._choice.window == one.window
+        assert applied.parameters.names == expected
 
 
 def test_a_memory_set_while_running_applies_to_later_data(start, feed) -> None:
