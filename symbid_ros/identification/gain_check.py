@@ -3,6 +3,9 @@
 Links follow such errors in part: residuals stay small, and masses come out far off. With a factor
 on each effort as a further unknown, both fit. The readings of a wrist sensor are efforts too; they
 have one factor in common, relative to the efforts of the joints.
+
+Where no joint stands out, factors of all joints near 1 may be what possible links need to explain
+the log: torque constants of data sheets err by ten percent and more.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,6 +31,9 @@ from symbid_ros.signals.sensor_errors import DRIVE_GAIN, SensorErrors
 # Prior deviation of the factors, and their least mean square in deviations. It is .2 to 3.5 on
 # simulated arms with right efforts.
 PLAUSIBLE, LEAST_SQUARE = 0.2, 5.0
+# Least mean square, in posterior deviations, by which possible links differ from the most probable
+# ones, for factors of all joints near 1. It is below one if the model is right.
+LEAST_EXCESS = 1.0
 # Most of the held-out error that remains with the factors: its share, and its size in percent.
 # Above that, something else is wrong, which factors follow.
 REMAINS, UNDERSTOOD = 0.9, 10.0
@@ -71,7 +77,9 @@ def wrong_factors(
 ) -> WrongFactors | None:
     """Return which efforts' factors explain a log better; None if none do.
 
-    These joints' factors alone are identified: the others give the scale.
+    If some joints differ from the others, their factors alone are identified: the others give the
+    scale. If possible links explain the log much worse than others, factors near 1 of all joints
+    are identified instead where they predict the end of the log better.
 
     Parameters
     ----------
@@ -85,15 +93,29 @@ def wrong_factors(
     if before is None or not _is_candidate(problem) or _square(problem.solver) < LEAST_SQUARE:
         return None
 
-    def trial_with(joints: tuple[str, ...], most: float) -> Trial | None:
+    def trial_with(
+        joints: tuple[str, ...], most: float, percent: float | None = None
+    ) -> Trial | None:
         """Return an identification with factors of joints, if it errs by at most ``most``, %."""
         try:
-            trial = tried(problem.with_drive_gains(joints))
+            trial = tried(problem.with_drive_gains(joints, percent))
         except SymbidError:
             return None
         after = trial.checked.percent_after
         return trial if after is not None and after <= most else None
 
+    found = _of_some_joints(before, trial_with)
+    if _excess(problem.solver) < LEAST_EXCESS:
+        return found
+    most = before
+    if found is not None and found.trial is not None:
+        most = found.trial.checked.percent_after or before
+    near = trial_with(("all",), most, 100 * PLAUSIBLE)
+    return found if near is None else WrongFactors(_near_alarm(near, before), near)
+
+
+def _of_some_joints(before: float, trial_with: Callable[..., Trial | None]) -> WrongFactors | None:
+    """Return the joints whose efforts have other factors than those of most joints, if any."""
     every = trial_with(("all",), min(REMAINS * before, UNDERSTOOD))
     unlike = {} if every is None else _unlike(every.problem.solver)
     if every is None or not unlike:
@@ -128,6 +150,26 @@ def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str
         f"end of the log is predicted to {checked.percent_after:.2g} instead of {before:.2g} %; "
         "check torque constants and gear ratios"
     )
+
+
+def _near_alarm(near: Trial, before: float) -> str:
+    named = ", ".join(
+        f"{joint} {factor:.2g}" for joint, factor in _factors(near.problem.solver).items()
+    )
+    return (
+        f"{Alarm.WRONG_FACTORS}: possible links explain the log only if efforts are these multiples "
+        f"of the torques: {named}; with these, the end of the log is predicted to "
+        f"{near.checked.percent_after:.2g} instead of {before:.2g} %; check torque constants, gear "
+        f"ratios and link lengths; the factors are identified, within about "
+        f"{100 * PLAUSIBLE:.0f} % of 1, `drive_gain` none takes efforts as they are"
+    )
+
+
+def _excess(solver: Solver) -> float:
+    """Return the mean square of the change by limits of possible links, in deviations."""
+    found = solver.posterior
+    change = found.factor @ (solver.consistent_unknowns() - found.mean)
+    return float(change @ change) / len(change)
 
 
 def _is_candidate(problem: LoadedProblem) -> bool:

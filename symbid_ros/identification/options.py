@@ -174,6 +174,15 @@ class IdentifyOptions(RobotOptions):
         group=JOINTS,
         unset="those whose efforts have clearly wrong factors in logs of arms",
     )
+    drive_gain_percent: float | None = option(
+        None,
+        "Standard deviation of the factors of `drive_gain` about 1, such as 20 for efforts in Nm "
+        "by torque constants of data sheets.",
+        unit="%",
+        positive=True,
+        group=JOINTS,
+        unset="the unit and the sign are unknown",
+    )
     effort_side: tuple[str, ...] = option(
         (),
         "Where efforts are measured: motor (before the gear, or from currents), link (behind the "

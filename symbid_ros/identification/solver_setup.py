@@ -155,6 +155,9 @@ def first_factors(
     joints = named_joints(options.drive_gains, parameters.model)
     if not joints:
         return None
+    if options.drive_gain_percent is not None:
+        spread = options.drive_gain_percent / 100
+        return InitialFactors.near_one(joints, len(parameters.model.joints), spread)
     mean = prior.mean
     if parameters.model.wrist_sensors:
         mean = with_measured_loads(mean, dataset.observations[0], parameters)
