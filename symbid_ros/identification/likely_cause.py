@@ -19,8 +19,8 @@ from symbid_ros.estimation.alarms import Alarm, coloured_alarm
 from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
 from symbid_ros.identification.brief_disturbance import brief_disturbance
 from symbid_ros.identification.candidate_causes import GROUPS, Candidate, CandidateRows
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
-from symbid_ros.identification.solver import Identification
 from symbid_ros.signals.segments import Segment
 
 # Share by which a cause must reduce the square error of left-out blocks to be named.
@@ -118,7 +118,7 @@ def explained(
     found = _with_tried_causes(problem, found, known_cause)
     if not found.alarms:
         return found
-    model = problem.solver.problem.parameters.model
+    model = problem.parameters.model
     names = held_joints(model.joint_names, problem.dataset.segments)
     own = [name for name in names if name in model.measured_joint_names]
     if not own:

@@ -12,27 +12,27 @@ from symbid_ros.estimation.term_evidence import predictive_effects, spring_torqu
 from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.resting_joints import motionless_joints
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 
 logger = logging.getLogger(__name__)
 
 
-def shows_springs(solver: Solver, dataset: Dataset) -> bool:
+def shows_springs(solved: SolvedProblem, dataset: Dataset) -> bool:
     """Return whether a log shows the spring of any joint, and log a warning that names these.
 
     Parameters
     ----------
-    solver : Solver
+    solved : SolvedProblem
         Of the log, with chosen joint terms and without springs.
     dataset : Dataset
         The log.
     """
-    choice = solver.problem.choice
-    if choice is None or SPRING in choice.parameters.terms or not leaves_residuals(solver):
+    choice = solved.problem.choice
+    if choice is None or SPRING in choice.parameters.terms or not leaves_residuals(solved):
         return False
     parameters = replace(choice.parameters, terms=(*choice.parameters.terms, SPRING))
-    training = training_part(solver, dataset)
-    trial = try_columns(solver, training, dataset.source, parameters, slips=choice.slips)
+    training = training_part(solved, dataset)
+    trial = try_columns(solved, training, dataset.source, parameters, slips=choice.slips)
     if trial is None:
         return False
     # Where a joint rests, a spring is a constant torque, and noise of the encoder bends it.

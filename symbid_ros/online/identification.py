@@ -27,8 +27,9 @@ from symbid_ros.identification.accumulator import (
     build_block_rows,
 )
 from symbid_ros.identification.change_monitor import Change, ChangeMonitor
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.problem import Problem, Truncation
-from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.tares import Tare
 from symbid_ros.identification.window_comparison import WindowSelector
 from symbid_ros.messages.topics import SelectedTopics, Topic
@@ -267,19 +268,19 @@ class OnlineIdentification:
         open_block = self._scheduler.open_block()
         if open_block is not None and open_block.segments:
             self._prepare_rows(open_block)
-        solver = self._exact_solver(open_block)
-        while solver is not None and self._relinearize(solver.posterior):
+        solved = self._exact_solution(open_block)
+        while solved is not None and self._relinearize(solved.posterior):
             self._add_processed(self._worker.finish())
-            solver = self._exact_solver(open_block)
+            solved = self._exact_solution(open_block)
         self._solved = self.streams.complete_until, self._accumulator.blocks
         return (
             None
-            if solver is None
-            else self._estimate(solver, self._monitor.change, with_verdict=True)
+            if solved is None
+            else self._estimate(solved, self._monitor.change, with_verdict=True)
         )
 
-    def _exact_solver(self, open_block: TimeSpan | None) -> Solver | None:
-        """Return the solver of all blocks and the open one; None if there are too few data."""
+    def _exact_solution(self, open_block: TimeSpan | None) -> SolvedProblem | None:
+        """Solve all blocks and the open one; None if there are too few data."""
         blocks = self._accumulator.blocks
         if open_block is not None and open_block.segments:
             blocks = self._worker.with_block(blocks, open_block)
@@ -288,7 +289,7 @@ class OnlineIdentification:
         if not problem.observations:
             return None
         self._check_weight(problem.observations[0])
-        return Solver.of(self._terms.chosen_anew(problem))
+        return SolvedProblem.of(self._terms.chosen_anew(problem))
 
     def _relinearize(self, found: Posterior) -> bool:
         """Begin to linearize the rows about an estimate if it moved; return whether it did."""
@@ -317,19 +318,19 @@ class OnlineIdentification:
         count, tested = self._accumulator.blocks.count, self._is_coupled
         is_coupled = tested[1] if tested is not None and tested[0] == count else None
         start = self._start(problem.prior)
-        solver = Solver.approximate(problem, now, start, is_coupled=is_coupled)
-        self._is_coupled = count, solver.chosen.is_coupled
-        self._posterior = solver.posterior
-        self._relinearize(solver.posterior)
+        solved = SolvedProblem.approximate(problem, now, start, is_coupled=is_coupled)
+        self._is_coupled = count, solved.chosen.is_coupled
+        self._posterior = solved.posterior
+        self._relinearize(solved.posterior)
         # What is known of the noise comes with the first block. Until then deviations are too small
         # for a comparison, except with the wide prior of the start.
         change = self._monitor.change
         if new and (not self._changed.has_restarted or self._accumulator.blocks.count):
             rows = [block.slipping() for block in new] if self._terms.slips else new
-            self._monitor.update(rows, solver.posterior)
+            self._monitor.update(rows, solved.posterior)
             change = self._monitor.change  # which this estimate, also of older data, contradicts
             self._follow_change()
-        return self._estimate(solver, change, with_verdict=False)
+        return self._estimate(solved, change, with_verdict=False)
 
     def _start(self, prior: Prior) -> FloatArray | None:
         """Return the last estimate, or else the mean, of a prior's parameters."""
@@ -418,21 +419,21 @@ class OnlineIdentification:
             self._monitor.restart()
 
     def _estimate(
-        self, solver: Solver, change: Change | None, *, with_verdict: bool
+        self, solved: SolvedProblem, change: Change | None, *, with_verdict: bool
     ) -> OnlineEstimate:
-        found = self._identify(solver, with_verdict=with_verdict)
+        found = self._identify(solved, with_verdict=with_verdict)
         # Truncated methods have no covariance, and may be far from what the data and prior say.
-        value = solver.posterior.mean if found.factor is None else found.unknowns
-        window = solver.chosen.window
+        value = solved.posterior.mean if found.factor is None else found.unknowns
+        window = solved.chosen.window
         rows = RowSettings("weak", window=window)
         found = replace(found, estimate=replace(found.estimate, rows=rows))
         return OnlineEstimate(
             self._changed.compared_with_the_first(found),
-            solver.problem.parameters,
+            solved.problem.parameters,
             self._until,
             window,
-            solver.alarms(value),
-            any(one.is_gross for one in solver.unexplained[:1]),
+            solved.alarms(value),
+            any(one.is_gross for one in solved.unexplained[:1]),
             change,
             None if change is not None else self._monitor.followed,
         )
@@ -535,10 +536,10 @@ class OnlineIdentification:
         if not self._options.unchecked:
             self._weight.require(shortest, self._problem.prior)
 
-    def _identify(self, solver: Solver, *, with_verdict: bool) -> Identification:
+    def _identify(self, solved: SolvedProblem, *, with_verdict: bool) -> Identification:
         method = self._options.method
         if method == "map_lmi":
-            return solver.map_lmi(with_verdict=with_verdict)
+            return solved.map_lmi(with_verdict=with_verdict)
         if method == "map":
-            return solver.map(with_verdict=with_verdict)
-        return solver.truncated(method, Truncation(self._options.rank))
+            return solved.map(with_verdict=with_verdict)
+        return solved.truncated(method, Truncation(self._options.rank))

@@ -18,7 +18,7 @@ from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest
@@ -133,12 +133,12 @@ def test_live_messages_give_the_estimate_of_their_bag(start, feed, offline) -> N
     assert np.min(known[-1] / known[0]) < 0.5
 
     exact = live.solve(exactly=True)
-    solver = offline.solver
-    assert_same(exact.found.observations, solver.problem.data)
+    solved = offline.solved
+    assert_same(exact.found.observations, solved.problem.data)
     estimate, expected = exact.found.estimate, offline.solve().estimate
     assert estimate.joint_terms == expected.joint_terms
     assert np.all(np.abs(estimate.value - expected.value) <= 1e-7 * expected.std)
-    assert exact.found.estimate.verdict.window == solver.chosen.window
+    assert exact.found.estimate.verdict.window == solved.chosen.window
     assert exact.until == feed.messages[-1][0]
 
 
@@ -264,10 +264,10 @@ def test_forgetting_discounts_old_rows_and_the_prior(start, feed) -> None:
     rate = 2 / 0.161
     assert known.rows.samples == pytest.approx(2.0 * rate, rel=0.7)
     problem = replace(initial(**LINKS).problem, observations=(known,))
-    solver = Solver.of(problem)
+    solved = SolvedProblem.of(problem)
     widened = discounted.found.estimate.std / discounted.found.estimate.prior
     assert np.all(np.isfinite(widened))
-    assert solver.posterior.prior.std == pytest.approx(2 * problem.prior.std)
+    assert solved.posterior.prior.std == pytest.approx(2 * problem.prior.std)
 
 
 def test_a_silent_topic_loses_blocks_and_is_reported(start, feed) -> None:
