@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from symbid_ros.choices import SPRING
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.calibration import (
@@ -33,7 +33,7 @@ from symbid_ros.identification.prior_options import build_pseudo_measurements
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.ripples import find_ripples
 from symbid_ros.identification.solved_problem import SolvedProblem
-from symbid_ros.identification.springs import shows_springs
+from symbid_ros.identification.springs import find_springs
 from symbid_ros.identification.stored_information import merged_observations, with_columns
 from symbid_ros.identification.tares import Tare
 from symbid_ros.identification.term_priors import candidate_prior, named_term_prior
@@ -111,15 +111,17 @@ class ProblemSetup:
             # Errors of IMUs and foot sensors leave residuals that joint terms would follow.
             return parameters, dataset, solved
         exact = self._with_exact_sensors(parameters, solved, dataset)
-        for searches, find in (
-            (options.finds_springs, _with_springs),
-            (options.finds_couplings, _with_couplings),
-            (options.finds_warming, _with_warming),
-            (options.finds_ripples, _with_ripples),
+        for name, searches, find in (
+            ("terms", options.finds_springs, find_springs),
+            ("couplings", options.finds_couplings, find_couplings),
+            ("warming", options.finds_warming, find_warming),
+            ("ripples", options.finds_ripples, find_ripples),
         ):
-            if not searches or (more := find(parameters, *exact)) is parameters:
+            found = find(*exact) if searches else ()
+            if not found:
                 continue
-            parameters, processing = more, Processing.of(options)
+            more: dict[str, Any] = {name: (*getattr(parameters, name), *found)}
+            parameters, processing = replace(parameters, **more), Processing.of(options)
             dataset = fold_dataset(dataset.segments, dataset.source, parameters, processing)
             solved = self.solve(parameters, dataset)
             exact = self._with_exact_sensors(parameters, solved, dataset)
@@ -188,36 +190,3 @@ def _with_chosen_terms(
     window = solved.chosen.window
     again = replace(with_terms(window), stored=solved.problem.stored)
     return SolvedProblem.of(again, is_trial=is_trial, window=window)
-
-
-def _with_couplings(
-    parameters: ParameterSet, solved: SolvedProblem, dataset: Dataset
-) -> ParameterSet:
-    """Return the parameters with the couplings that a log shows."""
-    found = find_couplings(solved, dataset)
-    return replace(parameters, couplings=found) if found else parameters
-
-
-def _with_springs(
-    parameters: ParameterSet, solved: SolvedProblem, dataset: Dataset
-) -> ParameterSet:
-    """Return the parameters with the stiffness of joints if a log shows springs."""
-    if not shows_springs(solved, dataset):
-        return parameters
-    return replace(parameters, terms=(*parameters.terms, SPRING))
-
-
-def _with_warming(
-    parameters: ParameterSet, solved: SolvedProblem, dataset: Dataset
-) -> ParameterSet:
-    """Return the parameters with the changes of friction that a log shows."""
-    found = find_warming(solved, dataset)
-    return replace(parameters, warming=found) if found else parameters
-
-
-def _with_ripples(
-    parameters: ParameterSet, solved: SolvedProblem, dataset: Dataset
-) -> ParameterSet:
-    """Return the parameters with the ripples that a log shows."""
-    found = find_ripples(solved, dataset)
-    return replace(parameters, ripples=found) if found else parameters
