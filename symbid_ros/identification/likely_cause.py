@@ -176,12 +176,11 @@ def _with_cause(
     """Return an identification whose alarm of correlated residuals says when and why."""
     verdict = found.estimate.verdict
     assert verdict is not None
-    before = coloured_alarm(verdict.whiteness, verdict.unexplained)
-    after = coloured_alarm(verdict.whiteness, verdict.unexplained, when=when, cause=sentence)
-    alarms = tuple(after if alarm == before else alarm for alarm in verdict.alarms)
+    named = coloured_alarm(verdict.whiteness, verdict.unexplained, when=when, cause=sentence)
+    alarms = [named if Alarm.COLOURED in alarm else alarm for alarm in verdict.alarms]
     if is_first:
-        alarms = (after, *(alarm for alarm in alarms if alarm != after))
-    return found.with_alarms(alarms)
+        alarms.sort(key=lambda alarm: alarm != named)
+    return found.with_alarms(tuple(alarms))
 
 
 def _explanation(rows: CandidateRows, worst: UnexplainedForce, delay: str = "") -> str:
