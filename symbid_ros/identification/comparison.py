@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import EstimateError
-from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.error_changes import percent
 from symbid_ros.identification.force_errors import ForceRows, compare_errors
 from symbid_ros.identification.result import Result

@@ -12,7 +12,7 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.verdict import Verdict
-from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.error_changes import (
     ALL_JOINTS,
     BASE_FORCE,
