@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from symbid_ros.diagnosis.effort_findings import NO_CONVERSIONS, SignConversions
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity
-from symbid_ros.diagnosis.forces import NO_CONVERSIONS, SignConversions
 from symbid_ros.diagnosis.imu_checks import ImuCheck, QuaternionCheck
 from symbid_ros.diagnosis.jitter import JitterCheck
 from symbid_ros.diagnosis.joint_checks import JointCheck

@@ -13,8 +13,9 @@ from statistics import median
 from symbid_ros.arrays import concatenated
 from symbid_ros.bags import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
+from symbid_ros.diagnosis.effort_findings import GAINS, MILLI, common_unit, may_be_in_milli
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
-from symbid_ros.diagnosis.forces import EXPLAINED, GAINS, MILLI, common_unit, may_be_in_milli
+from symbid_ros.diagnosis.forces import EXPLAINED
 from symbid_ros.diagnosis.joint_checks import DEGREES
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
