@@ -10,13 +10,8 @@ from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.estimate_file import load_estimate
-from symbid_ros.estimation.fleet import (
-    LEAST_SPREAD,
-    Deviation,
-    FleetEstimate,
-    FleetMember,
-    estimate_fleet,
-)
+from symbid_ros.estimation.fleet import Deviation, FleetEstimate, FleetMember, estimate_fleet
+from symbid_ros.estimation.fleet_spread import LEAST_SPREAD
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.loaded_problem import load_information
 from symbid_ros.identification.options import IdentifyOptions
