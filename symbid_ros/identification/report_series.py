@@ -20,7 +20,8 @@ from symbid_ros.identification.report_data import (
     PredictedLog,
     ReportData,
 )
-from symbid_ros.identification.validation import PredictedEfforts, validate_segments
+from symbid_ros.identification.validation import validate_segments
+from symbid_ros.identification.validation_result import PredictedEfforts
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
