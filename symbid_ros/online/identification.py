@@ -8,13 +8,12 @@ with their block.
 import logging
 from collections import deque
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.errors import DataError, SymbidError
+from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
@@ -32,8 +31,7 @@ from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.tares import Tare
 from symbid_ros.identification.window_comparison import WindowSelector
-from symbid_ros.messages.topics import SelectedTopics, Topic
-from symbid_ros.messages.types import BOOL
+from symbid_ros.messages.topics import SelectedTopics
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker
 from symbid_ros.online.changed_priors import ChangedPriors
@@ -42,16 +40,14 @@ from symbid_ros.online.initial_state import InitialState
 from symbid_ros.online.live_calibration import FEW, MOST_KEPT, LiveCalibration
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.live_terms import LiveTerms
-from symbid_ros.online.message_check import MessageCheck
+from symbid_ros.online.message_intake import MessageIntake
 from symbid_ros.online.weight_check import WeightCheck, setup_fault
-from symbid_ros.signals.alignment import joint_columns
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suitable_windows
 
 logger = logging.getLogger(__name__)
 
 RECENT_FAULTS = 10
-POSTURE_TIME = 50_000_000  # ns; every part of a robot publishes its joints within this time
 
 
 @dataclass(frozen=True)
@@ -92,14 +88,12 @@ class OnlineIdentification:
 
     Attributes
     ----------
+    intake : MessageIntake
+        Takes the messages.
     faults : deque of str
         Errors of the latest lost blocks.
     lost_blocks : int
         Number of blocks that could not be used.
-    clock_jumps : int
-        Number of times a topic's clock jumped back.
-    checks : dict of Topic to MessageCheck
-        Validity check of each topic, which counts dropped messages.
     setup_fault : str
         Why these topics and options cannot give an estimate; empty if they can.
     """
@@ -116,17 +110,9 @@ class OnlineIdentification:
         self._terms = LiveTerms(self._parameters)
         self._scheduler = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
-        self.lost_blocks = self.clock_jumps = 0
+        self.lost_blocks = 0
         model = self._parameters.model
-        self.checks = {
-            topic: MessageCheck(
-                topic,
-                model,
-                selected.mapping,
-                takes_any_frame=selected.takes_any_frame(topic),
-            )
-            for topic in selected.all
-        }
+        self.intake = MessageIntake(selected, model, self.streams, self._restart_clock)
         self.setup_fault = setup_fault(selected, model)
         self._weight = WeightCheck(self._parameters, self.streams, self.setup_fault)
         self._posterior: Posterior | None = None
@@ -179,47 +165,6 @@ class OnlineIdentification:
         Before, friction that is not chosen yet looks like wrong inertias.
         """
         return self.can_tell_change or not self._parameters.candidates
-
-    def posture(self) -> FloatArray | None:
-        """Return the newest joint positions (J,), rad or m; None while there are none."""
-        model = self._parameters.model
-        try:
-            joints = self.streams.newest_joints(POSTURE_TIME)
-            columns = joint_columns(joints.names, model, joints.topic)
-        except SymbidError:  # no message yet, or one without a joint, which is reported elsewhere
-            return None
-        position = joints.position[-1:, columns]
-        return model.apply_mimics(position)[0] if np.all(np.isfinite(position)) else None
-
-    def feed(self, topic: Topic, payload: bytes) -> None:
-        """Add a serialised message of a topic; an invalid one is dropped and counted."""
-        if topic.msgtype == BOOL:
-            with suppress(DataError):
-                self.streams.add_flag(topic, payload)
-            return
-        for stamp, usable in self.checks[topic].take(payload):
-            self._feed(topic, stamp, usable)
-
-    def _feed(self, topic: Topic, stamp: int, payload: bytes) -> None:
-        streams = self._scheduler.streams
-        if streams.jumps_back(topic, stamp):
-            logger.warning(
-                "%s: its clock jumps back from %.3f s; alignment restarts and all processed data "
-                "are kept, so that a bag that is played again counts twice",
-                topic.name,
-                (streams.buffers[topic].newest or 0) * 1e-9,
-            )
-            self.clock_jumps += 1
-            self._restart_clock()
-        elif ahead := streams.jump_ahead(topic, stamp):
-            streams.buffers[topic].pauses += 1
-            logger.warning(
-                "%s: its stamps jump ahead by %.1f s: its publisher paused, or its clock was set; "
-                "the data of both sides are used",
-                topic.name,
-                ahead * 1e-9,
-            )
-        streams.add(topic, stamp, payload)
 
     def advance(self) -> None:
         """Queue complete blocks and add the rows of processed ones."""
@@ -460,10 +405,6 @@ class OnlineIdentification:
         self._worker.restart(nothing, equation_rows(self._parameters), self._windows)
         self._accumulator.restart(nothing, window)
         self._until = 0
-
-    def expect_pause(self) -> None:
-        """Accept that messages are missing before the next one of each topic."""
-        self._scheduler.streams.expect_pause()
 
     def set_tares(self, tares: Mapping[str, Tare]) -> str:
         """Use what unloaded wrench sensors read, by frame, as priors of their offsets.

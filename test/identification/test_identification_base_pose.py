@@ -170,7 +170,7 @@ def test_live_messages_give_the_same_as_a_bag(robot, readings, tmp_path):
         approximate = feed.into(live, solving=3.0)
         found = live.solve(exactly=True).found.estimate
         assert not live.faults
-        assert not any(check.dropped for check in live.checks.values())
+        assert not any(check.dropped for check in live.intake.checks.values())
     finally:
         live.close()
     assert sum(one is not None for one in approximate) >= 2
