@@ -44,8 +44,6 @@ from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment, cut_to
 from symbid_ros.signals.streams import Slice, TimeRange
 
-Arrays = dict[str, NDArray[Any]]
-
 FIRST_SECOND = TimeRange(0.0, 1.0)
 # A part without rows: shorter than a window, or in a gap of the log.
 TOO_SHORT = {"E519", "E520", "E521"}

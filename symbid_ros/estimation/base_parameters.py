@@ -72,11 +72,6 @@ class BaseParameters:
         """Whether a wide gap in the singular values defines the rank."""
         return self.dropped * CLEAR_GAP < self.kept
 
-    @property
-    def without_effect(self) -> BoolArray:
-        """(p,) parameters that affect no motion."""
-        return np.asarray(self.effect == 0.0)
-
     @cached_property
     def alone(self) -> BoolArray:
         """(p,) parameters that are base parameters by themselves, to four digits.

@@ -91,8 +91,6 @@ class FleetEstimate:
         Common parameters, SI units.
     values, stds : (R, p) float64
         Parameters of each robot, given the fleet.
-    own_stds : (R, p) float64
-        Standard deviations of each robot's parameters from its own data.
     single_stds : (R, p) float64
         Standard deviations of the common parameters from one robot's data and the spread.
     robots : tuple of str
@@ -112,7 +110,6 @@ class FleetEstimate:
     common_std: FloatArray
     values: FloatArray
     stds: FloatArray
-    own_stds: FloatArray
     single_stds: FloatArray
     robots: tuple[str, ...]
     spread: dict[str, float]
@@ -219,7 +216,6 @@ def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> 
         common_std,
         np.array(values),
         np.array(stds),
-        np.array([one.posterior.std for one in members]),
         np.array([_norms(L @ covariance_root(fit.alone(robot))) for robot in range(len(members))]),
         tuple(one.name for one in members),
         {name: float(size) for name, size in zip(fit.names, fit.sizes, strict=True)},
