@@ -10,8 +10,8 @@ import logging
 
 import numpy as np
 
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.posterior import posterior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.calibration import POINT_CONVERGED, compliance_std
 from symbid_ros.identification.candidate_trial import training_part, with_plausible_prior
 from symbid_ros.identification.dataset import Dataset, observe

@@ -12,8 +12,8 @@ from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.group_moments import BY_SECONDS, Grouping
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.folding_pool import FoldingPool, available_cores
 from symbid_ros.identification.options import IdentifyOptions

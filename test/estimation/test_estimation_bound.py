@@ -15,8 +15,8 @@ from scipy.linalg import cho_factor, cho_solve
 from symbid_ros.choices import METHODS
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.estimation.directions import DETERMINED
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.dataset import observe
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solved_problem import SolvedProblem

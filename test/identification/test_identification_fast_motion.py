@@ -8,8 +8,8 @@ import pytest
 from analytic_log import analytic_segment, noisy
 from random_robots import random_robot
 
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.fast_motion import _fast_rows, _FastMotion, with_fast_motion
 from symbid_ros.identification.problem import Problem

@@ -13,7 +13,8 @@ from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.group_moments import GROUPS, GroupMoments
-from symbid_ros.estimation.information import Information, RowLayout, random_motions
+from symbid_ros.estimation.information import Information
+from symbid_ros.estimation.row_layout import RowLayout, random_motions
 from symbid_ros.identification import problem_setup
 from symbid_ros.identification.joint_terms import choose_terms
 from symbid_ros.identification.term_remarks import replaceable_terms

@@ -12,11 +12,11 @@ from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError, OptionError
 from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS, Alarm
 from symbid_ros.estimation.constraints import total_mass_row
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.posterior import CONVERGED, posterior
 from symbid_ros.estimation.prior import Prior, default_prior, draw_prior
 from symbid_ros.estimation.prior_file import write_prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.loaded_problem import load_problem
