@@ -146,7 +146,9 @@ class ProblemSetup:
             )[:, 0]
             segments = ConvertedSegments(dataset.segments, factors)
             dataset = fold_dataset(segments, dataset.source, parameters, Processing.of(options))
-        exact = replace(options, drive_gain=(), sensor_errors=("none",), tare=())
+        exact = replace(
+            options, drive_gain=(), drive_gain_percent=None, sensor_errors=("none",), tare=()
+        )
         return ProblemSetup(exact, self.prior).solve(parameters, dataset), dataset
 
 
