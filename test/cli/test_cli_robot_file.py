@@ -291,6 +291,14 @@ def test_relative_paths_start_at_the_file(tmp_path) -> None:
         ("/**: {ros__parameters: {zzz: a}}", "there is no parameter zzz; remove it"),
         ("/**: {ros__parameters: {base: loose}}", "'loose' is not valid; give one of"),
         ("{", "not valid YAML"),
+        ("/**: {ros__parameters: {effort_scale: [0.001]}}", "effort_scale: 0.001 is not valid"),
+        ("/**: {ros__parameters: {joint_topic: [3]}}", "joint_topic: 3 is not valid"),
+        ("/**: {ros__parameters: {contact: [1]}}", "contact: 1 is not valid"),
+        ("/**: {ros__parameters: {tare: [{a: 1}]}}", "tare: {'a': 1} is not valid"),
+        ("/**: {ros__parameters: {rank: .inf}}", "rank: inf is not valid; give an integer"),
+        ("/**: {ros__parameters: {prior_percent: -3}}", "prior_percent: -3 is not valid"),
+        ("/**: {ros__parameters: {model: 3}}", "model: 3 is not valid; give the path"),
+        ("/**: {ros__parameters: {model: [arm.urdf]}}", "model: ['arm.urdf'] is not valid"),
     ],
 )
 def test_an_invalid_file_is_refused(text: str, reason: str, tmp_path) -> None:
@@ -299,6 +307,19 @@ def test_an_invalid_file_is_refused(text: str, reason: str, tmp_path) -> None:
     with pytest.raises(OptionError, match=re.escape(reason)) as refused:
         load_robot_file(file)
     assert str(file) in str(refused.value)
+
+
+def test_a_value_that_the_command_refuses_is_named_with_its_file(
+    symbid_here, foreign, tmp_path
+) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        f"/**: {{ros__parameters: {{model: {config_file('symbitron.urdf')}, "
+        "effort_scale: ['L_haa:=a']}}"
+    )
+    ended = symbid_here("bag", "doctor", foreign, "--robot", file)
+    assert ended.returncode == 2
+    assert f"{file}: effort_scale: 'L_haa:=a' is not valid" in ended.stderr
 
 
 def test_every_parameter_of_the_node_may_be_in_a_robot_file() -> None:
