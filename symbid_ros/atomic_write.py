@@ -51,6 +51,17 @@ def check_output_folder(folder: Path) -> None:
         If the folder cannot be written to, or holds the files of a bag.
     """
     check_writable(folder)
+    refuse_bag_folder(folder)
+
+
+def refuse_bag_folder(folder: Path) -> None:
+    """Check that a folder is not that of a bag.
+
+    Raises
+    ------
+    SymbidError
+        If it holds the files of one.
+    """
     bag = ("metadata.yaml", "*.mcap", "*.db3")
     found = next((file for name in bag for file in folder.glob(name)), None)
     if found is not None:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
 import yaml
 
+from symbid_ros.errors import DataError
+
 MEBI = 1 << 20
 MAX_YAML_BYTES = MEBI
 MAX_JSON_BYTES = 64 * MEBI
@@ -18,6 +20,19 @@ MAX_NODES = 100_000  # keys, values and lists
 
 LARGEST_INTEGER = 2**63 - 1
 LONGEST_QUOTE = 40
+
+
+def as_path(what: str, given: object) -> Path:
+    """Return the path of a file or folder that a Python user gave.
+
+    Raises
+    ------
+    DataError
+        When it is neither a text nor a path; ``what`` names it.
+    """
+    if isinstance(given, str | os.PathLike):
+        return Path(given)
+    raise DataError(f"{what} must be a path, not {type(given).__name__}", "E511")
 
 
 def open_regular(path: Path) -> BinaryIO:

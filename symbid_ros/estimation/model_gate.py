@@ -1,6 +1,7 @@
 """Whether a controller may take over an identified model of its robot."""
 
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
@@ -93,8 +94,10 @@ class ModelGate:
     """
 
     def __init__(self, largest_change: float = 0.25) -> None:
-        if not largest_change > 0:
-            raise OptionError(f"`largest_change` must be positive, got {largest_change}", "E501")
+        if not (isinstance(largest_change, Real) and largest_change > 0):
+            raise OptionError(
+                f"`largest_change` must be a number above 0, got {largest_change!r}", "E501"
+            )
         self._largest_change = largest_change
         self._known = np.full(2, np.inf)
 
@@ -128,7 +131,19 @@ class ModelGate:
             state, Nm.
         torque_limit : (A,) float64
             Largest torques of the drives, Nm.
+
+        Raises
+        ------
+        DataError
+            When these arrays differ in length.
         """
+        shapes = np.shape(torque_change), np.shape(torque_limit)
+        if shapes[0] != shapes[1] or len(shapes[0]) != 1:
+            raise DataError(
+                f"torque_change has shape {shapes[0]} and torque_limit {shapes[1]}; give one "
+                "number for each drive in both",
+                "E511",
+            )
         reason = self.fault(candidate) or self._jump(torque_change, torque_limit)
         if not reason:
             self._known = candidate.uncertainty
@@ -150,7 +165,9 @@ class ModelGate:
         return f"physically impossible: {', '.join(impossible)}" if impossible else ""
 
     def _jump(self, change: FloatArray, limit: FloatArray) -> str:
-        share = np.abs(change) / limit
+        # A drive without torque may not change at all.
+        unlimited = np.where(change == 0.0, 0.0, np.inf)
+        share = np.divide(np.abs(change), limit, out=unlimited, where=limit != 0.0)
         worst = int(np.argmax(share))
         # Written so that NaN is refused too.
         if not share[worst] <= self._largest_change:

@@ -128,6 +128,12 @@ def identified_robot(folder: Path, robot: Path, estimate: Estimate) -> RobotMode
     mjcf = is_mjcf(robot)
     source = load_model(robot, base)
     file = folder / MODEL_FILES[mjcf]
+    if not mjcf and (negative := _negative_masses(estimate)):
+        raise EstimateError(
+            f"{folder}: the identified mass of {', '.join(negative)} is negative, which no program "
+            "that reads a URDF allows; identify the log with `method` map_lmi",
+            "E527",
+        )
     try:
         found = load_mjcf(file) if mjcf else load_urdf(file, base)
     except ModelError as error:
@@ -149,6 +155,11 @@ def identified_robot(folder: Path, robot: Path, estimate: Estimate) -> RobotMode
     )
     identified = source.with_phi(np.array([phi[name] for name in source.link_names]))
     return with_nonnegative_terms(replace(identified, joints=joints))
+
+
+def _negative_masses(estimate: Estimate) -> list[str]:
+    values = zip(estimate.names, estimate.value.tolist(), strict=True)
+    return [name.removesuffix("/m") for name, value in values if name.endswith("/m") and value < 0]
 
 
 def _difference(one: RobotModel, other: RobotModel) -> str:
