@@ -15,10 +15,16 @@ from symbid_ros.errors import OptionError, SymbidError
 from symbid_ros.shutdown import deferred
 
 
-def check_writable(folder: Path) -> None:
+def check_writable(folder: Path, file: Path | None = None) -> None:
     """Check that files can be written to a folder, without leaving any behind.
 
     Commands call this before long computations, so that their results are not lost.
+
+    Parameters
+    ----------
+    folder : Path
+    file : Path, optional
+        The only file that will be written, which the error names.
 
     Raises
     ------
@@ -34,7 +40,7 @@ def check_writable(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise _cannot_write(folder, error) from None
+        raise _cannot_write(file or folder, error) from None
     finally:
         # Another process may have written into the folder since.
         with suppress(OSError):
@@ -96,7 +102,7 @@ def check_output_file(
         raise SymbidError(f"{path}: is a folder; name a file in it", "E552")
     if os.path.lexists(path) and not is_replaceable(path):
         raise SymbidError(f"{path}: exists; choose another name, or {remedy}", "E551")
-    check_writable(path.parent)
+    check_writable(path.parent, path)
 
 
 def require_distinct(paths: Mapping[str, Path | None]) -> None:

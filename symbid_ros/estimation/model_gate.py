@@ -1,7 +1,6 @@
 """Whether a controller may take over an identified model of its robot."""
 
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 
@@ -94,7 +93,11 @@ class ModelGate:
     """
 
     def __init__(self, largest_change: float = 0.25) -> None:
-        if not (isinstance(largest_change, Real) and largest_change > 0):
+        try:
+            is_positive = largest_change > 0
+        except TypeError:  # such as a text
+            is_positive = False
+        if not is_positive:
             raise OptionError(
                 f"`largest_change` must be a number above 0, got {largest_change!r}", "E501"
             )
