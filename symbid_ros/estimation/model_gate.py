@@ -140,14 +140,14 @@ class ModelGate:
         DataError
             When these arrays differ in length.
         """
-        shapes = np.shape(torque_change), np.shape(torque_limit)
-        if shapes[0] != shapes[1] or len(shapes[0]) != 1:
+        change, limit = np.asarray(torque_change), np.asarray(torque_limit)
+        if change.shape != limit.shape or change.ndim != 1:
             raise DataError(
-                f"torque_change has shape {shapes[0]} and torque_limit {shapes[1]}; give one "
+                f"torque_change has shape {change.shape} and torque_limit {limit.shape}; give one "
                 "number for each drive in both",
                 "E511",
             )
-        reason = self.fault(candidate) or self._jump(torque_change, torque_limit)
+        reason = self.fault(candidate) or self._jump(change, limit)
         if not reason:
             self._known = candidate.uncertainty
         return reason
@@ -168,9 +168,11 @@ class ModelGate:
         return f"physically impossible: {', '.join(impossible)}" if impossible else ""
 
     def _jump(self, change: FloatArray, limit: FloatArray) -> str:
+        if not len(change):
+            return ""
         # A drive without torque may not change at all.
-        unlimited = np.where(change == 0.0, 0.0, np.inf)
-        share = np.divide(np.abs(change), limit, out=unlimited, where=limit != 0.0)
+        share = np.where(change == 0.0, 0.0, np.inf)
+        np.divide(np.abs(change), limit, out=share, where=limit != 0.0)
         worst = int(np.argmax(share))
         # Written so that NaN is refused too.
         if not share[worst] <= self._largest_change:

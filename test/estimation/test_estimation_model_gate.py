@@ -112,6 +112,8 @@ def test_a_drive_without_torque_may_not_change(candidate):
 def test_each_drive_has_a_limit(candidate):
     with pytest.raises(DataError, match=r"torque_change has shape \(5,\) and torque_limit \(6,\)"):
         ModelGate().refusal(candidate, np.zeros(5), np.full(6, 100.0))
+    assert ModelGate().refusal(candidate, [0.0, 1.0], [100.0, 100.0]) == ""
+    assert ModelGate().refusal(candidate, [], []) == ""
 
 
 @pytest.mark.parametrize("share", [0.0, -1.0, np.nan, "x"])
