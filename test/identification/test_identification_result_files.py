@@ -19,7 +19,7 @@ from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification import result_files
 from symbid_ros.identification.identification import Identification
-from symbid_ros.identification.installation import install
+from symbid_ros.identification.installation import inertials_yaml, install
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result_files import (
@@ -122,6 +122,8 @@ def test_a_result_with_a_negative_mass_is_read(found, tmp_path, caplog) -> None:
     if Path(parameters.model.source).suffix == ".urdf":
         with pytest.raises(SymbidError, match=f"identified mass of {link} is negative"):
             install(tmp_path / "out", Path(parameters.model.source), tmp_path / "new.urdf")
+    with pytest.raises(SymbidError, match=f"identified mass of {link} is negative"):
+        inertials_yaml(tmp_path / "out")
 
 
 def test_the_estimate_is_written_elsewhere_if_the_folder_is_gone(found, spare, tmp_path) -> None:
