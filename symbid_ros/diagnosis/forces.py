@@ -6,6 +6,17 @@ from types import MappingProxyType
 
 import numpy as np
 
+from symbid_ros.diagnosis.common_scale import (
+    KGF,
+    MILLI,
+    Cause,
+    ScaleEvidence,
+    common_unit,
+    masses_fault,
+    may_be_in_milli,
+    unit_name,
+    unit_of,
+)
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.gain_problem import GainEstimate
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
@@ -29,13 +40,6 @@ DEVIATIONS = 3.0
 REVERSED = 2 * MIN_EVIDENCE
 # Smallest gain that is reported, relative to the common gain.
 SMALLEST = 1e-4
-# Factors of the efforts of so many joints that differ from one power of ten, and from each other,
-# by less are its unit. The model's masses may err by as much.
-SAME_UNIT, FEWEST_OF_A_UNIT = 1.25, 3
-MILLI = 1e-3
-# RMS efforts that are this many times the limits of their joints may be in mNm: more than drives
-# give beyond stated limits, and less than a thousand times what they can.
-TIMES_LIMIT = 10.0, 1 / MILLI
 # Noise of torques above this share of the usual effort is named.
 NOISY = 0.1
 # Several faults of one kind may have one cause. More faults than this of several kinds are
@@ -168,6 +172,7 @@ def check_forces(
             common,
             [name for name in efforts if name not in known],
             beyond=statistics.beyond_limits,
+            evidence=None if rotations else statistics.scale_evidence,
             conversions=conversions,
         ),
     ]
@@ -185,24 +190,6 @@ def check_forces(
             "gains of the wrench sensors: no effort is known well enough to compare them with",
         )
     return ForceVerdict(tuple(found), figures, found[0].kind.value if found else "", left_out)
-
-
-def common_unit(factors: Collection[float]) -> float | None:
-    """Return the power of ten that the factors of all joints' efforts are close to, if any.
-
-    Torque constants and gear ratios of three joints or more are not that close to one.
-    """
-    powers = np.log10(np.abs([*factors])) if factors else np.zeros(0)
-    power = float(np.rint(np.median(powers))) if len(powers) else 0.0
-    errors = powers - power
-    largest = max(np.abs(errors).max(initial=0.0), np.ptp(errors) if len(errors) else 0.0)
-    is_unit = power and min(factors) > 0 and largest < np.log10(SAME_UNIT)
-    return 10.0**power if is_unit and len(powers) >= FEWEST_OF_A_UNIT else None
-
-
-def may_be_in_milli(times_limit: float) -> bool:
-    """Return whether efforts may be in mNm whose RMS is this many times the limit."""
-    return TIMES_LIMIT[0] < times_limit < TIMES_LIMIT[1]
 
 
 def _is_known(gain: float, std: float) -> bool:
@@ -290,17 +277,38 @@ def _is_reversed(
 def _unexplained(
     statistics: ModelStatistics, gains: GainEstimate, frames: Sequence[str]
 ) -> Finding:
-    left = gains.before / statistics.weight
-    return Finding(
-        Kind.WEIGHT,
-        "",
-        Severity.UNUSABLE,
-        f"the wrenches (frames: {', '.join(frames) or 'none'}) do not balance the model's weight: "
-        f"{100 * left:.0f} % of {statistics.weight:.0f} N is unexplained by any sign, frame or "
-        "gain; record the wrench of every contact, or name those without a sensor in `contact`, "
-        "and check the IMU's frame",
-        {"weight_left": left, "weight_n": statistics.weight},
+    left, weight = gains.before / statistics.weight, statistics.weight
+    figures = {"weight_left": left, "weight_n": weight}
+    wrenches = f"the wrenches (frames: {', '.join(frames) or 'none'})"
+    contradiction, advice = (
+        f"{wrenches} do not balance the model's weight: {100 * left:.0f} % of {weight:.0f} N is "
+        "unexplained by any sign, frame or gain",
+        "record the wrench of every contact, or name those without a sensor in `contact`, and "
+        "check the IMU's frame",
     )
+    factor = unit_of(weight / statistics.carried) if statistics.carried > 0 else None
+    if factor is not None:
+        # Efforts may be right although forces are not, so their limits are no evidence.
+        cause = ScaleEvidence(statistics.scale_evidence.density).cause(factor)
+        faults = {
+            Cause.MASSES: f"the masses in the model were {masses_fault(factor)}",
+            Cause.UNIT: f"forces were in {unit_name(factor, 'N')}",
+        }
+        as_if = f"as if {' or '.join(faults.values()) if cause is None else faults[cause]}"
+        g = float(np.linalg.norm(statistics.model.gravity))
+        weighed, stated = _kilograms(statistics.carried / g), _kilograms(weight / g)
+        if cause is Cause.MASSES:
+            figures["masses_times"] = factor
+            contradiction = f"the model weighs {stated}, {wrenches} carry {weighed}, {as_if}"
+            advice = "correct its masses and inertias (kg, kg m²)"
+        else:
+            contradiction += f": they carry {weighed} and the model weighs {stated}, {as_if}"
+    text = f"{contradiction}; {advice}"
+    return Finding(Kind.WEIGHT, "", Severity.UNUSABLE, text, figures)
+
+
+def _kilograms(mass: float) -> str:
+    return f"{mass:.0f} kg" if mass > 100 else f"{mass:.3g} kg"
 
 
 def _wrench_findings(
@@ -342,10 +350,20 @@ def _wrench_findings(
             Kind.WRENCH_GAIN,
             topic,
             Severity.WARNING,
-            f"{topic}: reads {reads:.3g} times what the other sensors imply; inertia errors of "
-            f"25 % explain only {GAINS[0]:g} to {GAINS[1]:g}; check its unit and calibration",
+            f"{topic}: reads {reads:.3g} times what the other sensors imply{_wrench_advice(reads)}",
             {"reads": reads},
         )
+
+
+def _wrench_advice(reads: float) -> str:
+    """Return what to do about a wrench that reads so many times what it should."""
+    unit = unit_of(1 / reads)
+    if unit in (KGF, MILLI, 1 / MILLI):
+        return f", as if in {unit_name(unit, 'N')}: multiply its forces and torques by {unit:.3g}"
+    return (
+        f"; inertia errors of 25 % explain only {GAINS[0]:g} to {GAINS[1]:g}; check its unit and "
+        "calibration"
+    )
 
 
 def _effort_findings(
@@ -355,6 +373,7 @@ def _effort_findings(
     unknown: Sequence[str] = (),
     *,
     beyond: Mapping[str, tuple[float, float]] = NONE_BEYOND,
+    evidence: ScaleEvidence | None = None,
     conversions: SignConversions = NO_CONVERSIONS,
 ) -> Iterator[Finding]:
     """Yield findings about signs and gains of efforts.
@@ -370,6 +389,8 @@ def _effort_findings(
         The other driven joints.
     beyond : mapping of str to (float, float)
         RMS efforts beyond the limits of the model, and these limits.
+    evidence : ScaleEvidence, optional
+        Whether the model's masses may have the wrong unit; None if wrenches show that they do not.
     conversions : SignConversions
         Those that the user gave.
     """
@@ -391,11 +412,19 @@ def _effort_findings(
     are_all = len(known) > 2 and [len(names) for names in groups] == [len(known)]
     usual = dict.fromkeys(unknown, float(np.median(list(wrong.values())))) if are_all else {}
     factors = {name: 1 / one for name, one in (wrong | usual).items()}
-    if are_all and (unit := common_unit([1 / one for one in wrong.values()])) is not None:
-        yield _unit_finding(
-            topic, wrong, unit, conversions.effort_line(dict.fromkeys(factors, unit))
-        )
-        return
+    masses = ""
+    if are_all:
+        unit = common_unit([1 / one for one in wrong.values()])
+        factor = unit or 1 / float(np.median(list(wrong.values())))
+        cause = Cause.UNIT if evidence is None else evidence.cause(factor)
+        if cause is Cause.MASSES:
+            yield _masses_finding(topic, wrong, factor)
+            return
+        masses = "" if cause is Cause.UNIT else masses_fault(factor)
+        if unit is not None:
+            line = conversions.effort_line(dict.fromkeys(factors, unit))
+            yield _unit_finding(topic, wrong, unit, line, masses)
+            return
     if excess := {name: beyond[name] for name in unknown if name in beyond and not usual}:
         yield _limit_finding(topic, excess, conversions)
     line = conversions.effort_line(factors)
@@ -404,6 +433,8 @@ def _effort_findings(
     is_any_right = any(GAINS[0] < common / gain < GAINS[1] for gain, _ in known.values() if gain)
     if len(groups) > 1 and not is_any_right:  # no joint reads Nm
         action = "give `drive_gain` all to identify the factors: unlike ones are those of currents"
+    if masses:
+        action += f", or correct the masses in the model, which may be {masses}"
     for names in groups:
         reads = float(np.median([wrong[name] for name in names]))
         whose = "all joints" if are_all else ", ".join(names)
@@ -418,17 +449,40 @@ def _effort_findings(
         )
 
 
-def _unit_finding(topic: str, reads: Mapping[str, float], unit: float, line: str) -> Finding:
-    """Return the finding that the efforts of all joints are in another unit."""
+def _unit_finding(
+    topic: str, reads: Mapping[str, float], unit: float, line: str, masses: str
+) -> Finding:
+    """Return the finding that the efforts of all joints are in another unit.
+
+    If the masses of the model may be wrong instead, it says how, and has a figure for that.
+    """
     middle = float(np.median(list(reads.values())))
-    name = ", as if in mNm (Nmm)" if unit == MILLI else ""
+    or_fault, or_action, figures = "", "", dict[str, float]()
+    if masses:
+        or_fault = f", or as if the masses in the model were {masses}"
+        or_action = ", or correct masses and inertias in the model"
+        figures = {"masses_times": unit}
     return Finding(
         Kind.TORQUE_GAIN,
         topic,
         Severity.WARNING,
-        f"{topic}: effort of all joints reads {middle:.3g} times what the motion implies{name}; "
-        f"give Nm (N), or write {line}",
-        {"reads": middle} | {f"{joint}/reads": one for joint, one in reads.items()},
+        f"{topic}: effort of all joints reads {middle:.3g} times what the motion implies, as if "
+        f"in {unit_name(unit)}{or_fault}; give Nm (N), or write {line}{or_action}",
+        {"reads": middle} | {f"{joint}/reads": one for joint, one in reads.items()} | figures,
+    )
+
+
+def _masses_finding(topic: str, reads: Mapping[str, float], factor: float) -> Finding:
+    """Return the finding that the masses of the model are wrong, and not the efforts."""
+    middle = float(np.median(list(reads.values())))
+    return Finding(
+        Kind.TORQUE_GAIN,
+        topic,
+        Severity.WARNING,
+        f"{topic}: effort of all joints reads {middle:.3g} times what the motion implies, as if "
+        f"the masses in the model were {masses_fault(factor)}; correct its masses and inertias "
+        "(kg, kg m²)",
+        {"reads": middle, "masses_times": factor},
     )
 
 

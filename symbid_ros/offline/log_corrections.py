@@ -12,9 +12,16 @@ from statistics import median
 
 from symbid_ros.arrays import concatenated
 from symbid_ros.bags import bag_log
+from symbid_ros.diagnosis.common_scale import (
+    MILLI,
+    common_unit,
+    masses_fault,
+    may_be_in_milli,
+    unit_name,
+)
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
-from symbid_ros.diagnosis.forces import EXPLAINED, GAINS, MILLI, common_unit, may_be_in_milli
+from symbid_ros.diagnosis.forces import EXPLAINED, GAINS
 from symbid_ros.diagnosis.joint_checks import DEGREES
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
@@ -252,7 +259,10 @@ class LogCorrections:
                 unknown.append(name)
             else:
                 factors[name] = gain / common
-        self._correct_factors(factors, unknown, _figures(found))
+        figures = _figures(found)
+        # Masses of the model are wrong instead if the doctor says so and gives no joint's factor.
+        if "masses_times" not in figures or any("/reads" in name for name in figures):
+            self._correct_factors(factors, unknown, figures)
         if "effort_scale" not in self.setup.options:
             self._reverse_efforts(found)
         for one in found.findings:
@@ -262,7 +272,7 @@ class LogCorrections:
         return self.setup.options != before
 
     def _correct_factors(
-        self, factors: Mapping[str, float], unknown: Sequence[str], times: Mapping[str, float]
+        self, factors: Mapping[str, float], unknown: Sequence[str], figures: Mapping[str, float]
     ) -> None:
         """Scale efforts by the factors of joints whose load shows them.
 
@@ -272,14 +282,18 @@ class LogCorrections:
             Those that the log determines.
         unknown : sequence of str
             The other driven joints.
-        times : mapping of str to float
-            RMS efforts over the limits of the model, as ``<joint>/times_limit``.
+        figures : mapping of str to float
+            Of the findings: RMS efforts over the limits of the model as ``<joint>/times_limit``,
+            and ``masses_times`` if the masses of the model may be wrong.
         """
         scaled = {name: one for name, one in factors.items() if not GAINS[0] < one < GAINS[1]}
         if scaled and len(scaled) == len(factors):
             # No joint has the unit of the model, so those without a visible load have not either.
             if (unit := common_unit(scaled.values())) is not None:
                 self._scale(dict.fromkeys([*scaled, *unknown], unit), unit)
+                if "masses_times" in figures:
+                    doubt = f"CHECK: or the masses in the model are {masses_fault(unit)}."
+                    self.setup.note("effort_scale", doubt)
                 return
             if all(EXPLAINED[0] < one < EXPLAINED[1] for one in scaled.values()):
                 self._doubt_load(scaled)
@@ -290,7 +304,7 @@ class LogCorrections:
             unknown = ()
         self._scale(scaled)
         beyond = [
-            name for name in unknown if may_be_in_milli(times.get(f"{name}/times_limit", 0.0))
+            name for name in unknown if may_be_in_milli(figures.get(f"{name}/times_limit", 0.0))
         ]
         self._scale(dict.fromkeys(beyond, MILLI), MILLI)
 
@@ -337,10 +351,8 @@ class LogCorrections:
             entries[joint] = f"{(unit or factor) * float(entries.get(joint, 1.0)):.3g}"
         self.setup.options["effort_scale"] = [f"{name}:={at}" for name, at in entries.items()]
         if unit is not None:
-            name = "mNm (Nmm)" if unit == MILLI else f"{unit:g} Nm"
-            self.setup.note(
-                "effort_scale", f"CHECK: efforts of {', '.join(factors)} are in {name}."
-            )
+            text = f"CHECK: efforts of {', '.join(factors)} are in {unit_name(unit)}."
+            self.setup.note("effort_scale", text)
             return
         drives = self.setup.options.get("drive_gain", [])
         self.setup.options["drive_gain"] = list(dict.fromkeys([*drives, *factors]))
