@@ -330,7 +330,7 @@ def _wrench_advice(reads: float) -> str:
     """Return what to do about a wrench that reads so many times what it should."""
     unit = unit_of(1 / reads)
     if unit in (KGF, MILLI, 1 / MILLI):
-        return f", as if in {unit_name(unit, 'N')}: multiply its forces and torques by {unit:.3g}"
+        return f", as if in {unit_name(unit, 'N')}; multiply its forces and torques by {unit:.3g}"
     return (
         f"; inertia errors of 25 % explain only {GAINS[0]:g} to {GAINS[1]:g}; check its unit and "
         "calibration"
