@@ -1,11 +1,20 @@
 """Findings about the signs, gains and units of efforts."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
 
+from symbid_ros.diagnosis.common_scale import (
+    MILLI,
+    Cause,
+    ScaleEvidence,
+    common_unit,
+    joints_in_milli,
+    masses_fault,
+    unit_name,
+)
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.options import robot_file_line
 
@@ -16,13 +25,6 @@ GAINS = 0.6, 1.6
 DEVIATIONS = 3.0
 # Smallest gain that is reported, relative to the common gain.
 SMALLEST = 1e-4
-# Factors of the efforts of so many joints that differ from one power of ten, and from each other,
-# by less are its unit. The model's masses may err by as much.
-SAME_UNIT, FEWEST_OF_A_UNIT = 1.25, 3
-MILLI = 1e-3
-# RMS efforts that are this many times the limits of their joints may be in mNm: more than drives
-# give beyond stated limits, and less than a thousand times what they can.
-TIMES_LIMIT = 10.0, 1 / MILLI
 
 
 @dataclass(frozen=True)
@@ -53,33 +55,6 @@ NO_CONVERSIONS = SignConversions()
 NONE_BEYOND: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
 
-def common_unit(factors: Collection[float]) -> float | None:
-    """Return the power of ten that the factors of all joints' efforts are close to, if any.
-
-    Torque constants and gear ratios of three joints or more are not that close to one.
-    """
-    powers = np.log10(np.abs([*factors])) if factors else np.zeros(0)
-    power = float(np.rint(np.median(powers))) if len(powers) else 0.0
-    errors = powers - power
-    largest = max(np.abs(errors).max(initial=0.0), np.ptp(errors) if len(errors) else 0.0)
-    is_unit = power and min(factors) > 0 and largest < np.log10(SAME_UNIT)
-    return 10.0**power if is_unit and len(powers) >= FEWEST_OF_A_UNIT else None
-
-
-def joints_in_milli(times_limits: Mapping[str, float], driven: Sequence[str]) -> list[str]:
-    """Return the joints whose efforts may be in mNm; all driven ones if most of them may be.
-
-    Parameters
-    ----------
-    times_limits : mapping of str to float
-        RMS efforts over the limits of the model, of joints beyond them.
-    driven : sequence of str
-        All driven joints. One driver gives the efforts of all joints in one unit.
-    """
-    found = [name for name, one in times_limits.items() if TIMES_LIMIT[0] < one < TIMES_LIMIT[1]]
-    return list(driven) if 2 * len(found) > len(driven) else found
-
-
 def effort_findings(
     topic: str,
     known: Mapping[str, tuple[float, float]],
@@ -87,6 +62,7 @@ def effort_findings(
     unknown: Sequence[str] = (),
     *,
     beyond: Mapping[str, tuple[float, float]] = NONE_BEYOND,
+    evidence: ScaleEvidence | None = None,
     conversions: SignConversions = NO_CONVERSIONS,
 ) -> Iterator[Finding]:
     """Yield findings about signs and gains of efforts.
@@ -102,6 +78,8 @@ def effort_findings(
         The other driven joints.
     beyond : mapping of str to (float, float)
         RMS efforts beyond the limits of the model, and these limits.
+    evidence : ScaleEvidence, optional
+        Whether the model's masses may have the wrong unit; None if wrenches show that they do not.
     conversions : SignConversions
         Those that the user gave.
     """
@@ -123,11 +101,19 @@ def effort_findings(
     are_all = len(known) > 2 and [len(names) for names in groups] == [len(known)]
     usual = dict.fromkeys(unknown, float(np.median(list(wrong.values())))) if are_all else {}
     factors = {name: 1 / one for name, one in (wrong | usual).items()}
-    if are_all and (unit := common_unit([1 / one for one in wrong.values()])) is not None:
-        yield _unit_finding(
-            topic, wrong, unit, conversions.effort_line(dict.fromkeys(factors, unit))
-        )
-        return
+    masses = ""
+    if are_all:
+        unit = common_unit([1 / one for one in wrong.values()])
+        factor = unit or 1 / float(np.median(list(wrong.values())))
+        cause = Cause.UNIT if evidence is None else evidence.cause(factor)
+        if cause is Cause.MASSES:
+            yield _masses_finding(topic, wrong, factor)
+            return
+        masses = "" if cause is Cause.UNIT else masses_fault(factor)
+        if unit is not None:
+            line = conversions.effort_line(dict.fromkeys(factors, unit))
+            yield _unit_finding(topic, wrong, unit, line, masses)
+            return
     if excess := {name: beyond[name] for name in unknown if name in beyond and not usual}:
         yield _limit_finding(topic, excess, (*known, *unknown), conversions)
     line = conversions.effort_line(factors)
@@ -136,6 +122,8 @@ def effort_findings(
     is_any_right = any(GAINS[0] < common / gain < GAINS[1] for gain, _ in known.values() if gain)
     if len(groups) > 1 and not is_any_right:  # no joint reads Nm
         action = "give `drive_gain` all to identify the factors: unlike ones are those of currents"
+    if masses:
+        action += f", or correct the masses in the model, which may be {masses}"
     for names in groups:
         reads = float(np.median([wrong[name] for name in names]))
         whose = "all joints" if are_all else ", ".join(names)
@@ -150,17 +138,40 @@ def effort_findings(
         )
 
 
-def _unit_finding(topic: str, reads: Mapping[str, float], unit: float, line: str) -> Finding:
-    """Return the finding that the efforts of all joints are in another unit."""
+def _unit_finding(
+    topic: str, reads: Mapping[str, float], unit: float, line: str, masses: str
+) -> Finding:
+    """Return the finding that the efforts of all joints are in another unit.
+
+    If the masses of the model may be wrong instead, it says how, and has a figure for that.
+    """
     middle = float(np.median(list(reads.values())))
-    name = ", as if in mNm (Nmm)" if unit == MILLI else ""
+    or_fault, or_action, figures = "", "", dict[str, float]()
+    if masses:
+        or_fault = f", or as if the masses in the model were {masses}"
+        or_action = ", or correct masses and inertias in the model"
+        figures = {"masses_times": unit}
     return Finding(
         Kind.TORQUE_GAIN,
         topic,
         Severity.WARNING,
-        f"{topic}: effort of all joints reads {middle:.3g} times what the motion implies{name}; "
-        f"give Nm (N), or write {line}",
-        {"reads": middle} | {f"{joint}/reads": one for joint, one in reads.items()},
+        f"{topic}: effort of all joints reads {middle:.3g} times what the motion implies, as if "
+        f"in {unit_name(unit)}{or_fault}; give Nm (N), or write {line}{or_action}",
+        {"reads": middle} | {f"{joint}/reads": one for joint, one in reads.items()} | figures,
+    )
+
+
+def _masses_finding(topic: str, reads: Mapping[str, float], factor: float) -> Finding:
+    """Return the finding that the masses of the model are wrong, and not the efforts."""
+    middle = float(np.median(list(reads.values())))
+    return Finding(
+        Kind.TORQUE_GAIN,
+        topic,
+        Severity.WARNING,
+        f"{topic}: effort of all joints reads {middle:.3g} times what the motion implies, as if "
+        f"the masses in the model were {masses_fault(factor)}; correct its masses and inertias "
+        "(kg, kg m²)",
+        {"reads": middle, "masses_times": factor},
     )
 
 

@@ -5,6 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from symbid_ros.diagnosis.common_scale import (
+    KGF,
+    MILLI,
+    Cause,
+    ScaleEvidence,
+    masses_fault,
+    unit_name,
+    unit_of,
+)
 from symbid_ros.diagnosis.effort_findings import (
     DEVIATIONS,
     GAINS,
@@ -134,6 +143,7 @@ def check_forces(
             common,
             [name for name in efforts if name not in known],
             beyond=statistics.beyond_limits,
+            evidence=None if rotations else statistics.scale_evidence,
             conversions=conversions,
         ),
     ]
@@ -238,17 +248,38 @@ def _is_reversed(
 def _unexplained(
     statistics: ModelStatistics, gains: GainEstimate, frames: Sequence[str]
 ) -> Finding:
-    left = gains.before / statistics.weight
-    return Finding(
-        Kind.WEIGHT,
-        "",
-        Severity.UNUSABLE,
-        f"the wrenches (frames: {', '.join(frames) or 'none'}) do not balance the model's weight: "
-        f"{100 * left:.0f} % of {statistics.weight:.0f} N is unexplained by any sign, frame or "
-        "gain; record the wrench of every contact, or name those without a sensor in `contact`, "
-        "and check the IMU's frame",
-        {"weight_left": left, "weight_n": statistics.weight},
+    left, weight = gains.before / statistics.weight, statistics.weight
+    figures = {"weight_left": left, "weight_n": weight}
+    wrenches = f"the wrenches (frames: {', '.join(frames) or 'none'})"
+    contradiction, advice = (
+        f"{wrenches} do not balance the model's weight: {100 * left:.0f} % of {weight:.0f} N is "
+        "unexplained by any sign, frame or gain",
+        "record the wrench of every contact, or name those without a sensor in `contact`, and "
+        "check the IMU's frame",
     )
+    factor = unit_of(weight / statistics.carried) if statistics.carried > 0 else None
+    if factor is not None:
+        # Efforts may be right although forces are not, so their limits are no evidence.
+        cause = ScaleEvidence(statistics.scale_evidence.density).cause(factor)
+        faults = {
+            Cause.MASSES: f"the masses in the model were {masses_fault(factor)}",
+            Cause.UNIT: f"forces were in {unit_name(factor, 'N')}",
+        }
+        as_if = f"as if {' or '.join(faults.values()) if cause is None else faults[cause]}"
+        g = float(np.linalg.norm(statistics.model.gravity))
+        weighed, stated = _kilograms(statistics.carried / g), _kilograms(weight / g)
+        if cause is Cause.MASSES:
+            figures["masses_times"] = factor
+            contradiction = f"the model weighs {stated}, {wrenches} carry {weighed}, {as_if}"
+            advice = "correct its masses and inertias (kg, kg m²)"
+        else:
+            contradiction += f": they carry {weighed} and the model weighs {stated}, {as_if}"
+    text = f"{contradiction}; {advice}"
+    return Finding(Kind.WEIGHT, "", Severity.UNUSABLE, text, figures)
+
+
+def _kilograms(mass: float) -> str:
+    return f"{mass:.0f} kg" if mass > 100 else f"{mass:.3g} kg"
 
 
 def _wrench_findings(
@@ -290,10 +321,20 @@ def _wrench_findings(
             Kind.WRENCH_GAIN,
             topic,
             Severity.WARNING,
-            f"{topic}: reads {reads:.3g} times what the other sensors imply; inertia errors of "
-            f"25 % explain only {GAINS[0]:g} to {GAINS[1]:g}; check its unit and calibration",
+            f"{topic}: reads {reads:.3g} times what the other sensors imply{_wrench_advice(reads)}",
             {"reads": reads},
         )
+
+
+def _wrench_advice(reads: float) -> str:
+    """Return what to do about a wrench that reads so many times what it should."""
+    unit = unit_of(1 / reads)
+    if unit in (KGF, MILLI, 1 / MILLI):
+        return f", as if in {unit_name(unit, 'N')}; multiply its forces and torques by {unit:.3g}"
+    return (
+        f"; inertia errors of 25 % explain only {GAINS[0]:g} to {GAINS[1]:g}; check its unit and "
+        "calibration"
+    )
 
 
 def _noise_remark(statistics: ModelStatistics) -> str:

@@ -412,8 +412,11 @@ class JointCheck:
         speed = np.sqrt(squares / np.maximum(count, 1))
         is_far, checked = np.zeros(len(self.names), dtype=bool), 0
         for index, joint in self._limited_hinges(model):
-            low, high = self._low[index] / DEGREES, self._high[index] / DEGREES
-            is_far[index] = min(low - joint.lower, joint.upper - high) < -LIMIT_MARGIN
+            low, high = float(self._low[index]), float(self._high[index])
+            # A joint within a turn may have wrong limits instead.
+            is_far[index] = max(-low, high) > 2 * np.pi and all(
+                _leaves(joint, low / unit, high / unit) for unit in (1.0, DEGREES)
+            )
             checked += 1
         # One joint may turn many times, or have wrong limits.
         if 2 * np.count_nonzero(is_far) < checked or (checked > 1 and is_far.sum() == 1):
@@ -452,9 +455,9 @@ class JointCheck:
         for index, joint in self._limited_hinges(model):
             low, high = float(self._low[index]), float(self._high[index])
             checked += 1
-            if min(low / DEGREES - joint.lower, joint.upper - high / DEGREES) < -LIMIT_MARGIN:
+            if _leaves(joint, low / DEGREES, high / DEGREES):
                 return []
-            if min(low - joint.lower, joint.upper - high) < -LIMIT_MARGIN:
+            if _leaves(joint, low, high):
                 reached.append(max(abs(low), abs(high)))
         outside, largest = len(reached), max(reached, default=0.0)
         # One joint may turn several times, or have wrong limits.
@@ -486,3 +489,8 @@ class JointCheck:
         if len(places) > 2 and len(places) == len(self.names):
             return "all joints"
         return ", ".join(self.names[i] for i in places)
+
+
+def _leaves(joint: Joint, low: float, high: float) -> bool:
+    """Return whether positions from low to high, rad, are beyond a joint's limits."""
+    return min(low - joint.lower, joint.upper - high) < -LIMIT_MARGIN

@@ -8,6 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import TERMS, Term
+from symbid_ros.diagnosis.common_scale import ScaleEvidence, model_density
 from symbid_ros.diagnosis.effort_lags import LAGS, LaggedRows, lagged_efforts
 from symbid_ros.diagnosis.gain_problem import GainProblem
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, GainRows
@@ -178,6 +179,18 @@ class ModelStatistics:
     def mean_forces(self) -> FloatArray:
         """Mean force (F, 3) of each wrench sensor in its frame, N."""
         return self._force_sum / max(self._samples, 1)
+
+    @property
+    def carried(self) -> float:
+        """RMS force of all wrench sensors of a floating robot together, N."""
+        return float(np.sqrt(np.sum(self.rows.target_squares[3:6])))
+
+    @property
+    def scale_evidence(self) -> ScaleEvidence:
+        """What tells a unit of the efforts from one of the model's masses."""
+        joints = [self.model.joints[place] for place in self.gains.driven]
+        shares = [one / joint.effort for one, joint in zip(self.efforts, joints, strict=True)]
+        return ScaleEvidence(model_density(self.model.phi), max(shares, default=0.0))
 
     @property
     def beyond_limits(self) -> dict[str, tuple[float, float]]:

@@ -9,13 +9,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.choices import SensorErrorKind
-from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, merged
+from symbid_ros.diagnosis.findings import OF_READINGS, FaultSpan, Finding, Kind, merged
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.identification.calibration import Mounting
 from symbid_ros.identification.dataset import Dataset
+from symbid_ros.identification.joint_readings import find_readings
 from symbid_ros.identification.tares import Tare
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
@@ -180,6 +181,8 @@ def check_dataset(
                 topic,
                 np.degrees(np.linalg.norm(one.rotation)),
             )
+    if not robot.floating and any(one.kind in OF_READINGS for one in unusable(found)):
+        found = _with_readings(found, dataset, robot, checks.joint_topic)
     _refuse_unusable(source, found)
     findings = merged(of_streams, found)
     for finding in findings:
@@ -189,6 +192,20 @@ def check_dataset(
         also = "; those messages are left out" if left_out else ""
         logger.warning("%s: %s%s", source, finding.message, also)
     return LogChecks(tuple(findings), mountings, checks.spans, tares)
+
+
+def _with_readings(
+    found: Sequence[Finding], dataset: Dataset, robot: RobotModel, topic: str
+) -> list[Finding]:
+    """Return findings in which wrong positions of joints replace what follows from them.
+
+    A reversed position gives the efforts of other joints the wrong sign. Efforts that are reversed
+    themselves keep their findings, which know their gains.
+    """
+    readings = find_readings(tuple(dataset.segments), robot)
+    if readings is None or readings.are_positions_right:
+        return [*found]
+    return [readings.finding(topic), *(one for one in found if one.kind not in OF_READINGS)]
 
 
 def _mounting(finding: Finding) -> Mounting | None:

@@ -12,8 +12,15 @@ from statistics import median
 
 from symbid_ros.arrays import concatenated
 from symbid_ros.bags import bag_log
+from symbid_ros.diagnosis.common_scale import (
+    MILLI,
+    common_unit,
+    joints_in_milli,
+    masses_fault,
+    unit_name,
+)
 from symbid_ros.diagnosis.doctor import diagnose
-from symbid_ros.diagnosis.effort_findings import GAINS, MILLI, common_unit, joints_in_milli
+from symbid_ros.diagnosis.effort_findings import GAINS
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
 from symbid_ros.diagnosis.forces import EXPLAINED
 from symbid_ros.diagnosis.joint_checks import DEGREES
@@ -255,7 +262,10 @@ class LogCorrections:
                 unknown.append(name)
             else:
                 factors[name] = gain / common
-        self._correct_factors(factors, unknown, _figures(found))
+        figures = _figures(found)
+        # Masses of the model are wrong instead if the doctor says so and gives no joint's factor.
+        if "masses_times" not in figures or any("/reads" in name for name in figures):
+            self._correct_factors(factors, unknown, figures)
         if "effort_scale" not in self.setup.options:
             self._reverse_efforts(found)
         for one in found.findings:
@@ -265,7 +275,7 @@ class LogCorrections:
         return self.setup.options != before
 
     def _correct_factors(
-        self, factors: Mapping[str, float], unknown: Sequence[str], times: Mapping[str, float]
+        self, factors: Mapping[str, float], unknown: Sequence[str], figures: Mapping[str, float]
     ) -> None:
         """Scale efforts by the factors of joints whose load shows them.
 
@@ -275,8 +285,9 @@ class LogCorrections:
             Those that the log determines.
         unknown : sequence of str
             The other driven joints.
-        times : mapping of str to float
-            RMS efforts over the limits of the model, as ``<joint>/times_limit``.
+        figures : mapping of str to float
+            Of the findings: RMS efforts over the limits of the model as ``<joint>/times_limit``,
+            and ``masses_times`` if the masses of the model may be wrong.
         """
         scaled = {name: one for name, one in factors.items() if not GAINS[0] < one < GAINS[1]}
         driven = [name for name in self.robot.joint_names if name in factors or name in unknown]
@@ -284,8 +295,11 @@ class LogCorrections:
         are_all = bool(scaled) and len(scaled) == len(factors)
         if are_all and (unit := common_unit(scaled.values())) is not None:
             self._scale(dict.fromkeys(driven, unit), unit)
+            if "masses_times" in figures:
+                doubt = f"CHECK: or the masses in the model are {masses_fault(unit)}."
+                self.setup.note("effort_scale", doubt)
             return
-        limits = {name: times.get(f"{name}/times_limit", 0.0) for name in driven}
+        limits = {name: figures.get(f"{name}/times_limit", 0.0) for name in driven}
         in_milli = joints_in_milli(limits, driven)
         if len(in_milli) == len(driven):
             self._scale(dict.fromkeys(driven, MILLI), MILLI)
@@ -348,10 +362,8 @@ class LogCorrections:
         self._multiply_efforts(factors)
         if unit is not None:
             self._has_new_unit = True
-            name = "mNm (Nmm)" if unit == MILLI else f"{unit:g} Nm"
-            self.setup.note(
-                "effort_scale", f"CHECK: efforts of {', '.join(factors)} are in {name}."
-            )
+            text = f"CHECK: efforts of {', '.join(factors)} are in {unit_name(unit)}."
+            self.setup.note("effort_scale", text)
             return
         drives = self.setup.options.get("drive_gain", [])
         self.setup.options["drive_gain"] = list(dict.fromkeys([*drives, *factors]))

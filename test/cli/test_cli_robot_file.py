@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 import symbid_ros as sy
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.name_matching import match_names
@@ -103,12 +104,13 @@ def test_init_finds_names_signs_and_units(robot_file) -> None:
     assert len(found) >= 8  # the others have no drive
 
 
-def setup_with_efforts(tmp_path, arm, factor, seconds=20.0, **motion) -> RobotSetup:
+def setup_with_efforts(tmp_path, arm, factor, seconds=20.0, *, model=None, **motion) -> RobotSetup:
     """Return what is found in a log of an arm whose efforts are multiplied by factors."""
     read = arm_streams(arm, seconds, 1, **motion).joints
     columns = zip(read.stamp, read.position, read.velocity, factor * read.effort, strict=True)
     messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in columns]
-    return inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    bag = joints_only(tmp_path / "bag", *messages)
+    return inspect_robot(model or ur5_urdf(), [bag], "fixed")
 
 
 def test_efforts_in_newton_millimetres_get_one_exact_scale(tmp_path) -> None:
@@ -117,6 +119,20 @@ def test_efforts_in_newton_millimetres_get_one_exact_scale(tmp_path) -> None:
     assert setup.options["effort_scale"] == [f"{name}:=0.001" for name in arm.joint_names]
     assert "drive_gain" not in setup.options
     assert any("mNm" in line for line in setup.comments["effort_scale"])
+
+
+@pytest.mark.parametrize(("times", "is_certain"), [(1e3, True), (10.0, False)])
+def test_masses_that_are_too_large_are_not_made_up_for_by_efforts(
+    tmp_path, times, is_certain
+) -> None:
+    """A model of many tons would follow, which explains the log."""
+    arm = load_model(ur5_urdf(), "fixed")
+    heavy = tmp_path / "heavy.urdf"
+    heavy.write_text(urdf_text(arm.with_phi(times * arm.phi), ur5_urdf()))
+    setup = setup_with_efforts(tmp_path, arm, 1.0, model=heavy, friction=0.02)
+    assert ("effort_scale" in setup.options) != is_certain
+    comments = setup.comments["" if is_certain else "effort_scale"]
+    assert any("masses in the model" in one for one in comments)
 
 
 @pytest.mark.parametrize("limits", [(0.0,) * 6, (10.0,) * 5 + (0.0,)])

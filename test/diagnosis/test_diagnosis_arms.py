@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arm_log import arm_streams
-from documented_robots import ur5_urdf
+from documented_robots import packaged_urdf, ur5_urdf
 from expected_errors import raises_code
 
 import symbid_ros as sy
@@ -118,6 +118,28 @@ def test_short_logs_tell_the_sign_of_all_efforts_together(ur5, seed) -> None:
     (finding,) = judged(ur5, with_effort(read, slice(None), -1.0), seed).findings
     assert (finding.kind, finding.severity) == (Kind.TORQUE_SIGN, Severity.UNUSABLE)
     assert set(finding.figures) == {f"{name}/gain" for name in ur5.joint_names}
+
+
+@pytest.mark.parametrize(
+    ("position", "effort", "kind", "option"),
+    [
+        (-1.0, 1.0, Kind.JOINT_READINGS, r'flip_joint: \["joint2"\] in'),
+        (1.0, -1.0, Kind.TORQUE_SIGN, r'effort_scale: \["joint2:=-1"\] in'),
+    ],
+)
+def test_a_reversed_position_does_not_accuse_the_efforts_of_other_joints(
+    position, effort, kind, option
+) -> None:
+    """The gains of the efforts alone say that those of all joints are reversed."""
+    robot = load_model(packaged_urdf("xarm7.urdf"), "fixed")
+    read = with_effort(arm_streams(robot, 12.0, 1, friction=0.02), 1, effort)
+    signs = np.where(np.arange(read.joints.position.shape[1]) == 1, position, 1.0)
+    motion = {name: getattr(read.joints, name) * signs for name in ("position", "velocity")}
+    log = Log.from_streams(replace(read, joints=replace(read.joints, **motion)))
+    (finding,) = sy.diagnose(robot, log).findings
+    assert finding.kind is kind
+    with raises_code("E517", option):
+        sy.identify(robot, log)
 
 
 def test_one_drive_in_another_unit(ur5) -> None:

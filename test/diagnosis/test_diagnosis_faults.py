@@ -337,6 +337,24 @@ def test_missing_wrench(judged, log, model, tmp_path) -> None:
     only(diagnose(bag_log([log], model, selection), model), Kind.WEIGHT, "", Severity.UNUSABLE)
 
 
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_masses_of_the_model_in_another_unit(log, model, factor) -> None:
+    """The wrenches weigh the robot, and links of its size have densities of solids."""
+    wrong = model.with_phi(factor * model.phi)
+    found = only(diagnose(bag_log([log], wrong), wrong), Kind.WEIGHT, "", Severity.UNUSABLE)
+    assert found.figures["masses_times"] == pytest.approx(factor)
+    assert "record the wrench" not in found.message
+
+
+@pytest.mark.parametrize("wrenches", [(LEFT,), (LEFT, RIGHT)])
+def test_forces_in_kgf(judged, wrenches) -> None:
+    diagnosis = judged(dict.fromkeys(wrenches, scaled(1 / 9.80665, VECTORS)))
+    found = [(one.kind, one.stream) for one in diagnosis.findings]
+    assert found == [(Kind.WRENCH_GAIN, topic) for topic in wrenches]
+    for one in diagnosis.findings:
+        assert "as if in kgf; multiply its forces and torques by 9.81" in one.message
+
+
 @pytest.mark.parametrize(("axis", "degrees"), [("x", 180), ("z", 90), ("y", 10)])
 def test_imu_mounting(judged, axis, degrees) -> None:
     diagnosis = judged({IMU: turned(degrees, axis, RATES)})

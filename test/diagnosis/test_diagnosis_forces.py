@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from symbid_ros.diagnosis.common_scale import KGF, ScaleEvidence
 from symbid_ros.diagnosis.effort_findings import (
     SignConversions,
     _similar_groups,
-    common_unit,
     effort_findings,
 )
 from symbid_ros.diagnosis.findings import Kind, Severity
@@ -45,6 +45,8 @@ class Robot:
     loaded: tuple = (True, True)
     driven: int = 4
     std: float = STD
+    carried: float = 500.0
+    density: float = 500.0
 
     def verdict(self):
         frames = ("left", "right")
@@ -58,8 +60,10 @@ class Robot:
         before, backwards = 500.0 * self.left, 500.0 * self.left_reversed
         gains = GainEstimate(layout, mean, covariance, np.zeros(0), before, 5.0, backwards)
         statistics = SimpleNamespace(
-            model=SimpleNamespace(floating=self.floating),
+            model=SimpleNamespace(floating=self.floating, gravity=np.array([0.0, 0.0, -10.0])),
             weight=500.0,
+            carried=self.carried,
+            scale_evidence=ScaleEvidence(self.density),
             beyond_limits={},
             wrench_noise=(0.0, 0.0),
             efforts=[1.0],
@@ -133,6 +137,38 @@ def test_reversed_gravity_is_the_imus_fault():
         Robot([-IDENTITY, -IDENTITY], [-1.0] * 4, floating=False),
     ):
         assert (Kind.IMU_MOUNTING, "/imu") not in other.kinds
+
+
+@pytest.mark.parametrize(
+    ("carried", "density", "times", "says"),
+    [
+        (0.5, 5e5, 1e3, "weighs 50 kg, the wrenches (frames: left, right) carry 0.05 kg"),
+        (5e4, 5.0, 1e-2, "were 100 times too small"),
+        (5.0, 2e3, None, "as if the masses in the model were 100 times too large or forces were"),
+        (
+            5e5,
+            500.0,
+            None,
+            "they carry 50000 kg and the model weighs 50 kg, as if forces were in mN",
+        ),
+        (200.0, 5e5, None, "record the wrench of every contact"),
+        (0.0, 500.0, None, "record the wrench of every contact"),
+    ],
+)
+def test_wrenches_that_weigh_another_robot_doubt_its_masses(carried, density, times, says):
+    robot = Robot(left=0.99, loaded=(False, False), carried=carried, density=density)
+    (finding,) = robot.verdict().findings
+    assert finding.kind is Kind.WEIGHT
+    assert says in finding.message
+    assert ("record the wrench" in finding.message) == (times is None)
+    assert finding.figures.get("masses_times") == (None if times is None else pytest.approx(times))
+
+
+@pytest.mark.parametrize("unit", [KGF, 1e-3])
+def test_wrenches_in_another_unit_are_to_be_multiplied(unit):
+    found = Robot([unit * IDENTITY, IDENTITY]).verdict().findings
+    assert [one.kind for one in found] == [Kind.WRENCH_GAIN]
+    assert f"multiply its forces and torques by {unit:.3g}" in found[0].message
 
 
 @pytest.mark.parametrize("left", [0.34, 0.36, 0.9])
@@ -361,16 +397,3 @@ def test_similar_errors_are_one_group():
     reads = {"a": 4.0, "b": 2.0, "c": 3.1, "d": 6.0, "e": 0.1, "f": 6.5}
     assert list(_similar_groups(reads)) == [["e"], ["b", "c"], ["a", "d"], ["f"]]
     assert list(_similar_groups({})) == []
-
-
-@pytest.mark.parametrize(
-    ("factors", "unit"),
-    [
-        ((0.000903, 0.000983, 0.00095), 1e-3),  # masses of the model err by some percent
-        ((0.00085, 0.00122, 0.001), None),  # they differ from each other
-        ((0.00130, 0.00132, 0.00131), None),  # they agree on something else
-        ((0.001, 0.001), None),  # two may agree by chance
-    ],
-)
-def test_factors_that_agree_on_a_power_of_ten_are_a_unit(factors, unit):
-    assert common_unit(factors) == (None if unit is None else pytest.approx(unit))

@@ -250,6 +250,20 @@ def test_one_joint_that_turns_several_times_is_in_radians(kinds, high, is_found)
 
 
 @pytest.mark.parametrize(
+    ("low", "high", "is_found"),
+    [
+        (0.82, 5.46, False),  # within the limits, which exclude zero
+        (0.0, 6.2, False),  # beyond them, but within a turn
+        (0.0, 6.4, True),
+        (-6.4, 0.0, True),
+    ],
+)
+def test_limits_that_exclude_zero_are_those_of_radians(low, high, is_found):
+    found = findings(reaching(high, high, high, low=low), robot(lower=0.82, upper=5.46))
+    assert [one.kind for one in found] == [Kind.UNIT] * is_found
+
+
+@pytest.mark.parametrize(
     ("high", "is_found"),
     [
         ((4096.0, 4096.0, 4096.0), True),

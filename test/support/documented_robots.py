@@ -22,10 +22,15 @@ def write_inaccurate(source: Path, path: Path, seed: int) -> None:
     path.write_text(urdf_text(parameters.apply(drawn.mean), source))
 
 
-def ur5_urdf() -> Path:
-    """Return the UR5 of example-robot-data, which its wheel puts outside of any package."""
-    (found,) = (each for each in files("example-robot-data") or () if each.name == "ur5_robot.urdf")
+def packaged_urdf(name: str) -> Path:
+    """Return a file of example-robot-data, which its wheel puts outside of any package."""
+    (found,) = (each for each in files("example-robot-data") or () if each.name == name)
     return Path(str(found.locate()))
+
+
+def ur5_urdf() -> Path:
+    """Return the UR5 of example-robot-data."""
+    return packaged_urdf("ur5_robot.urdf")
 
 
 def write_arm(folder: Path) -> None:
