@@ -18,6 +18,7 @@ from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.base_pose import PoseStream
+from symbid_ros.signals.defects import typical_period
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
 from symbid_ros.signals.joint_clock import sampled_joints
 from symbid_ros.signals.segments import Segment
@@ -59,8 +60,8 @@ class _Matrix:
 
     @cached_property
     def period(self) -> float:
-        """Median time from one sample to the next, ns."""
-        return float(np.median(np.diff(self.stamp)))
+        """Typical time from one sample to the next, ns."""
+        return typical_period(self.stamp)
 
 
 def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
@@ -418,7 +419,7 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
             "%s: messages without a finite position of %s are dropped", topic, ", ".join(names)
         )
         stamp, position = stamp[is_complete], position[is_complete]
-    longest = LONGEST_GAP * float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
+    longest = LONGEST_GAP * typical_period(stamp)
     effort = joints.effort[is_complete][:, columns]
     has_efforts = bool(np.any(np.isfinite(effort) & (effort != 0.0)))
     effort[:, list(model.followers)] = 0.0
