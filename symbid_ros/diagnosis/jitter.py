@@ -196,7 +196,7 @@ class JitterCheck:
                 Finding.of(
                     self.topic,
                     Kind.JITTER,
-                    f"{100 * min(share, 1.0):.2g} % of the messages keep stamps that jitter, "
+                    f"{100 * min(share, 1.0):.3g} % of the messages keep stamps that jitter, "
                     "because their samples are not uniform in time, while others are corrected; "
                     "stamp messages when they are sampled",
                     {"share": min(share, 1.0)},
