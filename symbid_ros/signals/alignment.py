@@ -433,6 +433,8 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
     )
     if not model.floating and not efforts.any_row:
         fault = "no effort of any joint"
+        if not (streams.is_arrays or has_efforts):
+            action += ", or name the topic that has the efforts as well (`joint_topic`)"
         if has_efforts:
             fault = f"gaps of more than {int(LONGEST_GAP)} efforts of every joint"
             action = COMPLETE_ROWS if streams.is_arrays else "let the driver publish all at once"
