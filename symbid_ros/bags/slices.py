@@ -17,7 +17,7 @@ from symbid_ros.messages.contact_flags import FlagHistory
 from symbid_ros.messages.decoder import MAX_LAYOUTS, DecodedBatch, TopicDecoder
 from symbid_ros.messages.layout import ByteArray
 from symbid_ros.messages.name_check import RecordedNames, check_names
-from symbid_ros.messages.sensor_streams import build_streams, group_joints, read_stamps
+from symbid_ros.messages.sensor_streams import build_streams, read_split_stamps, read_stamps
 from symbid_ros.messages.static_transforms import is_static, static_transforms
 from symbid_ros.messages.topics import (
     SelectedTopics,
@@ -281,10 +281,17 @@ class _Slicer:
             buffer.tally.during = (start, stop)
             if count := buffer.decoder.decoded_singly:
                 buffer.tally.counts[Defect.OTHER_LAYOUT] = count
-        recorded = {}
+        recorded: dict[str, IntArray] = {}
+        split: dict[str, tuple[IntArray, ...]] = {}
         for topic, decoder in decoders.items():
-            stamps = self._stamps(topic, decoder)
-            recorded[topic.name] = stamps[(stamps >= start) & (stamps < stop)]
+            read: tuple[IntArray, ...] = (read_stamps(decoder),)
+            if topic in self._chosen.joints and decoder.count:
+                read = read_split_stamps(decoder, self._chosen.recorded_joints)
+            parts = tuple(each[(each >= start) & (each < stop)] for each in read)
+            recorded[topic.name] = parts[0]
+            if len(parts) > 1:
+                recorded[topic.name] = np.unique(np.concatenate(parts))
+                split[topic.name] = parts
         streams, fault = None, ""
         if silent := [topic.name for topic, decoder in decoders.items() if not decoder.count]:
             fault = (
@@ -300,16 +307,7 @@ class _Slicer:
                     raise
                 fault = str(error)
         tallied = tuple(tallies.values())
-        return Slice(start, stop, streams, recorded, tallied, fault, self._recording)
-
-    def _stamps(self, topic: Topic, decoder: TopicDecoder) -> IntArray:
-        """Return header stamps in order of recording; each once if joints come in groups."""
-        recorded = read_stamps(decoder)
-        is_split = (
-            topic in self._chosen.joints
-            and len(group_joints(decoder, self._chosen.recorded_joints)) > 1
-        )
-        return np.unique(recorded) if is_split else recorded
+        return Slice(start, stop, streams, recorded, tallied, fault, self._recording, split)
 
 
 @dataclass

@@ -20,12 +20,17 @@ from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.signals.decimation import low_passed
 from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.joint_clock import interpolation_error, sampled_joints
+from symbid_ros.signals.joint_clock import (
+    HARMLESS,
+    UNIFORM_NOISE,
+    interpolation_error,
+    sampled_joints,
+)
 from symbid_ros.signals.streams import JointStream
 
-# Smaller deviations, s, hardly change an estimate.
-LARGEST = 0.5e-3
 DEVIATIONS = 4.0
+# A smaller share of messages whose stamps jitter hardly changes an estimate either.
+LARGEST_SHARE = 0.01
 # Hz; cutoff of the velocities that are computed from positions.
 MOTION = 10.0
 # s over which positions and velocities are compared.
@@ -34,8 +39,6 @@ SPAN = 0.1
 BLOCK = 2.0
 FEWEST_BLOCKS = 4
 FEWEST_MESSAGES = 16
-# A sample's own jitter and that of its neighbours add to the variance of cubic interpolation.
-NEIGHBOURS = 1 + 2 * (4 / 6) ** 2 + 2 * (1 / 6) ** 2
 # The jitter of both ends adds to that of a difference.
 ENDS = 2.0
 
@@ -99,6 +102,7 @@ class JitterCheck:
     _copies: int = 0
     _messages: int = 0
     _corrected: float = 0.0
+    _uncorrected: int = 0
 
     def add(self, joints: JointStream, during: tuple[int, int] = ALWAYS) -> None:
         """Add the messages stamped from the first up to the second, ns."""
@@ -107,6 +111,7 @@ class JitterCheck:
         self._copies += int(np.count_nonzero(clock.copies[recorded]))
         self._messages += recorded.stop - recorded.start
         self._corrected = max(self._corrected, clock.jitter)
+        self._uncorrected += clock.uncorrected
         joints = clock.joints
         inside = slice(*np.searchsorted(joints.stamp, during).tolist())
         stamp, position = joints.stamp[inside], joints.position[inside]
@@ -185,16 +190,29 @@ class JitterCheck:
                     Severity.WARNING,
                 )
             )
+        share = self._uncorrected / max(self._messages, 1)
+        if self._corrected > 0 and share > LARGEST_SHARE:
+            found.append(
+                Finding.of(
+                    self.topic,
+                    Kind.JITTER,
+                    f"{100 * min(share, 1.0):.3g} % of the messages keep stamps that jitter, "
+                    "because their samples are not uniform in time, while others are corrected; "
+                    "stamp messages when they are sampled",
+                    {"share": min(share, 1.0)},
+                    Severity.WARNING,
+                )
+            )
         return found
 
     def _errors(self) -> list[Finding]:
         for moments, times, how in (
             (self._spans, ENDS, "their velocities"),
-            (self._samples, NEIGHBOURS, "those before and after"),
+            (self._samples, UNIFORM_NOISE, "those before and after"),
         ):
             variance, std = moments.variance
             jitter = float(np.sqrt(max(variance, 0.0) / times))
-            if jitter > LARGEST and variance > DEVIATIONS * std:
+            if jitter > HARMLESS and variance > DEVIATIONS * std:
                 return [
                     Finding.of(
                         self.topic,

@@ -66,7 +66,9 @@ class StreamChecks:
         """Check the next slice of the log."""
         self._defects = piece.tallies
         for topic, stamps in piece.stamps.items():
-            self.timings.setdefault(topic, TimingCheck(topic)).add(stamps, piece.recording)
+            timing = self.timings.setdefault(topic, TimingCheck(topic))
+            for part, each in enumerate(piece.split_stamps.get(topic, (stamps,))):
+                timing.add(each, piece.recording, part)
         if piece.streams is None:
             self._faults.append(piece.fault)
             self._silent.append(FaultSpan(Kind.SILENT, "", piece.start, piece.stop))

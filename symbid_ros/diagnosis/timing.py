@@ -47,26 +47,33 @@ class TimingCheck:
     spans: list[FaultSpan] = field(default_factory=list)
     _recording: int = 0
     _paused: int = 0  # between recordings, ns
-    _periods: list[int] = field(default_factory=list)
+    _ends: dict[int, tuple[int, int]] = field(default_factory=dict)  # recording and last of parts
+    _periods: dict[int, list[int]] = field(default_factory=dict)  # of parts
     _deviations: float = 0.0
     _steps: int = 0
 
-    def add(self, stamps: IntArray, recording: int = 0) -> None:
-        """Add the stamps (N,), ns, of the next slice, in any order."""
+    def add(self, stamps: IntArray, recording: int = 0, part: int = 0) -> None:
+        """Add the stamps (N,), ns, of the next slice, in any order.
+
+        Messages that name different joints are parts of a topic, each with a period of its own.
+        """
         self.messages += len(stamps)
         if not len(stamps):
             return
         if self.last is not None and recording != self._recording:
             self._paused += int(stamps.min()) - self.last
-        elif self.last is not None:
-            stamps = np.append(self.last, stamps[stamps > self.last])
         self._recording = recording
+        before, last = self._ends.get(part, (recording, None))
+        if last is not None and before == recording:
+            stamps = np.append(last, stamps[stamps > last])
         found = Intervals.between(stamps)
-        self.first = int(found.stamps[0]) if self.first is None else self.first
-        self.last = int(found.stamps[-1])
+        first, last = int(found.stamps[0]), int(found.stamps[-1])
+        self._ends[part] = recording, last
+        self.first = first if self.first is None else min(self.first, first)
+        self.last = last if self.last is None else max(self.last, last)
         if not found.period:
             return
-        self._periods.append(found.period)
+        self._periods.setdefault(part, []).append(found.period)
         self.gaps += int(np.count_nonzero(found.missing))
         self.missing += int(found.missing.sum())
         steps = found.steps
@@ -88,8 +95,9 @@ class TimingCheck:
 
     @property
     def period(self) -> float:
-        """Median of the slices' median periods, s; 0 below two messages."""
-        return float(np.median(self._periods)) * 1e-9 if self._periods else 0.0
+        """Median of the slices' periods, of the slowest part, s; 0 below two messages."""
+        medians = [float(np.median(each)) for each in self._periods.values()]
+        return max(medians, default=0.0) * 1e-9
 
     @property
     def figures(self) -> StreamFigures:
@@ -111,13 +119,15 @@ class TimingCheck:
         figures, found = self.figures, []
         if self.missing:
             share = self.missing / (self.missing + self.messages)
+            # A share of nearly all would be rounded to all.
+            percent = f"{100 * share:.2g}" if share < 0.995 else "over 99"
             gaps = "1 gap, which" if self.gaps == 1 else f"{self.gaps} gaps, the longest"
             found.append(
                 Finding(
                     Kind.GAP,
                     self.topic,
                     Severity.UNUSABLE if share > MOST_MISSING else Severity.WARNING,
-                    f"{self.topic}: {self.missing} messages ({100 * share:.2g} %) are missing in "
+                    f"{self.topic}: {self.missing} messages ({percent} %) are missing in "
                     f"{gaps} lasts {figures.longest_gap_s:.3g} s; record "
                     "closer to the sensor, with a deeper queue",
                     {

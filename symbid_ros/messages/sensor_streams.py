@@ -80,6 +80,18 @@ def group_joints(decoder: TopicDecoder, needed: frozenset[str]) -> list[frozense
     return _groups(counts, needed) if len(counts) > 1 else []
 
 
+def read_split_stamps(decoder: TopicDecoder, needed: frozenset[str]) -> tuple[IntArray, ...]:
+    """Return the stamps, ns in order of recording, of the messages of each set of joints.
+
+    Joints that no message names together are published by different drivers, so that each set has
+    a period of its own.
+    """
+    return tuple(
+        read_stamps(part)
+        for part in split_by_joints(decoder, needed, DefectCounts(decoder.source, ""))
+    )
+
+
 def _names(batch: DecodedBatch) -> frozenset[str]:
     return frozenset(batch.layout.text["name"])
 

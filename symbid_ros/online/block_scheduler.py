@@ -4,8 +4,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
-
+from symbid_ros.arrays import distinct
 from symbid_ros.errors import SymbidError
 from symbid_ros.identification.accumulator import TimeSpan
 from symbid_ros.messages.topics import SelectedTopics
@@ -17,6 +16,7 @@ from symbid_ros.signals.alignment import (
     align_checked,
     resampling_margin,
 )
+from symbid_ros.signals.defects import typical_period
 from symbid_ros.signals.segments import cut_to
 from symbid_ros.signals.weak_form import block_length, prefilter
 
@@ -142,10 +142,9 @@ class BlockScheduler:
             if len(stamps) < SHORTEST_SEGMENT:
                 return None
             # Several messages with one stamp may each hold some of the joints.
-            steps = np.diff(np.unique(stamps))
-            if not len(steps):
+            if (period := typical_period(distinct(stamps))) <= 0:
                 return None
-            self._period = float(np.median(steps))
+            self._period = period
         if self._open_from is None:
             self._open_from = int(stamps.min())
         length = block_length(1e9 / self._period)

@@ -11,9 +11,13 @@ from symbid_ros.errors import DataError
 from symbid_ros.messages.contact_flags import FlagHistory
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.layout import Layout
-from symbid_ros.messages.sensor_streams import build_joints, build_streams
+from symbid_ros.messages.sensor_streams import (
+    build_joints,
+    build_streams,
+    read_split_stamps,
+)
 from symbid_ros.messages.topics import SelectedTopics, Topic
-from symbid_ros.signals.defects import CLOCK_JUMP, DefectCounts, find_gaps, seconds
+from symbid_ros.signals.defects import ALWAYS, CLOCK_JUMP, DefectCounts, find_gaps, seconds
 from symbid_ros.signals.streams import JointStream, Streams
 
 # Messages this much older than the topic's newest, ns, are dropped; checked once every so many
@@ -59,7 +63,8 @@ class TopicBuffer:
     missing: int = 0
     pauses: int = 0
     disordered: int = 0
-    _counted: int | None = None
+    # Last counted stamp of the messages that name the same joints, by their index.
+    _counted: dict[int, int] = field(default_factory=dict)
     _stamps: "array[int]" = field(default_factory=lambda: array("q"))
     _payloads: list[bytes] = field(default_factory=list)
     _layouts: list[Layout] = field(default_factory=list)
@@ -92,24 +97,23 @@ class TopicBuffer:
 
     def count_gaps(self, stop: int) -> None:
         """Count missing messages from the end of the last call up to ``stop``, ns."""
-        stamps = self.stamps
-        counted = stamps[stamps < stop]
-        if self._has_parts:
-            counted = np.unique(counted)  # messages with one stamp hold different joints
-        if self._counted is not None:
+        for part, stamps in enumerate(self._split_stamps(stop)):
             # The last stamp may be dropped already, and a gap begins with it.
-            counted = np.append(self._counted, counted[counted > self._counted])
-        for part in np.split(counted, np.flatnonzero(np.diff(counted) > CLOCK_JUMP) + 1):
-            gaps = find_gaps(part)
-            self.missing += gaps.missing
-            self.disordered += gaps.disordered
-        if len(counted):
-            self._counted = int(counted.max())
+            last = self._counted.get(part)
+            counted = stamps if last is None else np.append(last, stamps[stamps > last])
+            for each in np.split(counted, np.flatnonzero(np.diff(counted) > CLOCK_JUMP) + 1):
+                gaps = find_gaps(each)
+                self.missing += gaps.missing
+                self.disordered += gaps.disordered
+            if len(counted):
+                self._counted[part] = int(counted.max())
 
-    @property
-    def _has_parts(self) -> bool:
-        """Whether messages list different joints."""
-        return len({layout.text.get("name") for layout in self._layouts}) > 1
+    def _split_stamps(self, stop: int) -> tuple[IntArray, ...]:
+        """Return the stamps before ``stop`` of the messages of each set of joints, ns."""
+        if len({layout.text.get("name") for layout in self._layouts}) < 2:
+            return (self.stamps[self.stamps < stop],)
+        decoder = self.decoder(self.topic.name, ALWAYS[0], stop)
+        return read_split_stamps(decoder, frozenset())
 
     def drop_before(self, stamp: int) -> None:
         """Drop messages older than ``stamp``, ns."""
@@ -118,7 +122,8 @@ class TopicBuffer:
     def clear(self) -> None:
         """Drop all messages and restart the clock."""
         self._keep(())
-        self.newest = self._counted = None
+        self.newest = None
+        self._counted.clear()
 
     def clear_faults(self) -> None:
         """Set the numbers of late, missing and disordered messages and of pauses to zero."""

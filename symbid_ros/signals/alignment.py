@@ -15,6 +15,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, distinct
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.defects import typical_period
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
 from symbid_ros.signals.joint_clock import sampled_joints
 from symbid_ros.signals.required_sensors import check_sensors
@@ -57,8 +58,8 @@ class _Matrix:
 
     @cached_property
     def period(self) -> float:
-        """Median time from one sample to the next, ns."""
-        return float(np.median(np.diff(self.stamp)))
+        """Typical time from one sample to the next, ns."""
+        return typical_period(self.stamp)
 
 
 def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
@@ -319,7 +320,7 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
             "%s: messages without a finite position of %s are dropped", topic, ", ".join(names)
         )
         stamp, position = stamp[is_complete], position[is_complete]
-    longest = LONGEST_GAP * float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
+    longest = LONGEST_GAP * typical_period(stamp)
     effort = joints.effort[is_complete][:, columns]
     has_efforts = bool(np.any(np.isfinite(effort) & (effort != 0.0)))
     effort[:, list(model.followers)] = 0.0
@@ -333,6 +334,8 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
     )
     if not model.floating and not efforts.any_row:
         fault = "no effort of any joint"
+        if not (streams.is_arrays or has_efforts):
+            action += ", or name the topic that has the efforts as well (`joint_topic`)"
         if has_efforts:
             fault = f"gaps of more than {int(LONGEST_GAP)} efforts of every joint"
             action = COMPLETE_ROWS if streams.is_arrays else "let the driver publish all at once"

@@ -20,6 +20,9 @@ JITTER = 0.1
 # Messages on either side of such an interval that tell jitter from a loss, and periods that their
 # mean delay may change without one, as near the ends of a log.
 NEIGHBOURS, MARGIN = 20, 0.24
+# Numbers of messages over which intervals are averaged, and the ratio of averages to single ones
+# from which these are bursts.
+SPANS, BURSTS = (1, 2, 4, 8, 16, 32, 64), 1.5
 ALWAYS = (-(2**62), 2**62)  # ns; beyond every clock, with room for margins
 
 
@@ -189,6 +192,25 @@ def kept_in_order(stamp: IntArray, tally: DefectCounts) -> IntArray:
     return kept
 
 
+def typical_period(stamps: IntArray) -> float:
+    """Return the median interval between increasing stamps (N,), ns; 0 for fewer than two.
+
+    Where single intervals vary, as with jitter, intervals over several messages are divided by
+    their number: if stamps jitter by periods, most single intervals are shorter than the mean. So
+    they are where messages arrive in bursts.
+    """
+    if len(stamps) < 2:
+        return 0.0
+    spans = [span for span in SPANS if span == 1 or 4 * span <= len(stamps)]
+    steps = [(stamps[span:] - stamps[:-span]) / span for span in spans]
+    periods = [float(np.median(one)) for one in steps]
+    for period, one in zip(periods, steps, strict=True):
+        varies = np.median(np.abs(one - period)) >= JITTER * period
+        if not varies and periods[-1] < BURSTS * period:
+            return period
+    return periods[-1]
+
+
 @dataclass(frozen=True)
 class Gaps:
     """Gaps of one topic.
@@ -240,7 +262,7 @@ class Intervals:
         step = np.diff(ordered)
         if not len(step):
             return cls(ordered, 0, np.zeros(0, dtype=np.int64))
-        period = int(np.median(step))
+        period = int(typical_period(ordered))
         missing = np.where(2 * step >= 3 * period, np.rint(step / period) - 1, 0).astype(np.int64)
         long = np.flatnonzero(missing)
         regular = step[2 * step < 3 * period] / period - 1

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
+from symbid_ros.signals.defects import JITTER, typical_period
 from symbid_ros.signals.streams import JointStream
 
 # Copies in a row; more of them are a frozen topic.
@@ -22,11 +23,21 @@ MOVING_SHARE = 0.5
 GAIN = 1.25
 # ... and if the stamps jitter by at least this share of a period; less changes no estimate.
 LEAST_JITTER = 0.02
-# Periods without a sample after which the times of a log start anew.
+# Periods without a sample after which the times of a log start anew, if the delay lasts.
 LONGEST_GAP = 5.5
 FEWEST_MESSAGES = 50
 MOTION = 10.0  # roughnesses that a joint travels, as noise at rest does not
-LASTING = 4  # messages; a delay of more of them is no late message
+# A delay of more messages, and for a longer time, s, is a pause or a loss. Stamps that jitter by
+# several periods delay many messages in a row, so that several times are tried.
+LASTING, LASTING_TIMES = 4, (0.0, 0.02, 0.06)
+# Samples whose cubic tells the position between them, and the variance that white noise of unit
+# variance has about it if the samples are uniform.
+NEIGHBOURS = (-2, -1, 1, 2)
+UNIFORM_NOISE = 1 + 2 * (4 / 6) ** 2 + 2 * (1 / 6) ** 2
+# Smaller deviations of stamps, s, hardly change an estimate.
+HARMLESS = 0.5e-3
+# Part of a period; of samples that are closer, one is dropped, as no curve passes through both.
+CLOSEST = 0.1
 # Time, s, over which two clocks count as running at a constant ratio, and over which the period of
 # a loop may change.
 STEADY, BRIEF = 2.5, 0.25
@@ -42,16 +53,20 @@ class JointClock:
     Attributes
     ----------
     joints : JointStream
-        The messages that are no copies.
+        The messages that are no copies, without those too close to the one before.
     copies : (N,) bool
         Messages, of all as recorded, that repeat the one before them.
     jitter : float
         Standard deviation of the stamps about the samples' times, s; 0 if the stamps are kept.
+    uncorrected : int
+        Number of messages whose stamps jitter as well, but are kept, because no uniform times suit
+        their positions.
     """
 
     joints: JointStream
     copies: BoolArray
     jitter: float
+    uncorrected: int = 0
 
 
 def sampled_joints(joints: JointStream) -> JointClock:
@@ -64,15 +79,15 @@ def sampled_joints(joints: JointStream) -> JointClock:
     """
     copies = find_copies(joints)
     stamp = joints.stamp
-    period = float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
+    period = typical_period(stamp)
     if period <= 0:
         return JointClock(joints, copies, 0.0)
     fresh = map_arrays(joints, lambda values: values[~copies]) if copies.any() else joints
     steps = np.diff(stamp)
     if not copies.any() and np.abs(steps - period).max() < LEAST_JITTER * period:
         return JointClock(fresh, copies, 0.0)
-    time, jitter = 1e-9 * (fresh.stamp - stamp[0]), 0.0
-    ends = np.flatnonzero(np.diff(fresh.stamp) > LONGEST_GAP * period) + 1
+    time, jitter, uncorrected = 1e-9 * (fresh.stamp - stamp[0]), 0.0, 0
+    ends = _pauses(time, 1e-9 * period)
     for first, last in zip([0, *ends], [*ends, len(time)], strict=True):
         piece = slice(first, last)
         steady = _uniform_times(
@@ -81,12 +96,12 @@ def sampled_joints(joints: JointStream) -> JointClock:
         if steady is not None:
             jitter = max(jitter, float(np.std(time[piece] - steady)))
             time[piece] = steady
-    if jitter == 0:
-        return JointClock(fresh, copies, 0.0)
-    retimed = stamp[0] + np.rint(1e9 * time).astype(np.int64)
-    if not (np.diff(retimed) > 0).all():  # times of two pieces that overlap
-        return JointClock(fresh, copies, 0.0)
-    return JointClock(replace(fresh, stamp=retimed), copies, jitter)
+        elif _jitters(time[piece], fresh.position[piece]):
+            uncorrected += last - first
+    if jitter > 0:
+        fresh = replace(fresh, stamp=stamp[0] + np.rint(1e9 * time).astype(np.int64))
+    closest = CLOSEST * float(np.median(steps))
+    return JointClock(_without_close_samples(fresh, closest), copies, jitter, uncorrected)
 
 
 def find_copies(joints: JointStream) -> BoolArray:
@@ -114,24 +129,64 @@ def find_copies(joints: JointStream) -> BoolArray:
 
 
 def roughness(time: FloatArray, position: FloatArray) -> FloatArray:
-    """Return the RMS (J,) of positions (N, J) minus the cubics through their four neighbours."""
-    error = interpolation_error(time, position)
+    """Return the RMS (J,) of positions (N, J) minus the cubics through their four neighbours.
+
+    Each difference is divided by what white noise would add to it, relative to uniform samples.
+    """
+    weights = _interpolation_weights(time)
+    noise = np.sqrt((1 + np.sum(weights**2, axis=1)) / UNIFORM_NOISE)
+    error = interpolation_error(time, position) / noise[:, None]
     return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
 
 def interpolation_error(time: FloatArray, position: FloatArray) -> FloatArray:
     """Return positions (N, J) minus the cubic through their four neighbours, (N - 4, J)."""
     count = len(time)
-    at = time[2 : count - 2]
-    places = [slice(shift, count - 4 + shift) for shift in (0, 1, 3, 4)]
     error = position[2 : count - 2].copy()
+    for weight, shift in zip(_interpolation_weights(time).T, NEIGHBOURS, strict=True):
+        error -= weight[:, None] * position[2 + shift : count - 2 + shift]
+    return error
+
+
+def _interpolation_weights(time: FloatArray) -> FloatArray:
+    """Return the weights (N - 4, 4) of four neighbours in the cubic through them."""
+    count = len(time)
+    at = time[2 : count - 2]
+    places = [time[2 + shift : count - 2 + shift] for shift in NEIGHBOURS]
+    weights = np.ones((count - 4, len(places)))
     for one, place in enumerate(places):
-        weight = np.ones(count - 4)
         for other, elsewhere in enumerate(places):
             if other != one:
-                weight *= (at - time[elsewhere]) / (time[place] - time[elsewhere])
-        error -= weight[:, None] * position[place]
-    return error
+                weights[:, one] *= (at - elsewhere) / (place - elsewhere)
+    return weights
+
+
+def _pauses(time: FloatArray, period: float) -> IntArray:
+    """Return the first sample after each gap in times (N,), s, whose delay lasts."""
+    late: IntArray = np.flatnonzero(np.diff(time) > LONGEST_GAP * period) + 1
+    if not len(late):
+        return late
+    delay = time / period - np.arange(len(time))
+    before, after = _lasting_delays(delay, _lasting(period)[-1])
+    step = np.diff(time, prepend=time[0]) / period
+    kept: IntArray = late[(after - before)[late] > LASTING_PART * (step[late] - 1)]
+    return kept
+
+
+def _without_close_samples(joints: JointStream, closest: float) -> JointStream:
+    """Return joint states without those less than a time, ns, after the one before.
+
+    The times of two pieces may overlap, too.
+    """
+    stamp = joints.stamp
+    if (np.diff(stamp) >= closest).all():
+        return joints
+    kept = np.ones(len(stamp), dtype=bool)
+    last = stamp[0]
+    for index in range(1, len(stamp)):
+        kept[index] = stamp[index] - last >= closest
+        last = stamp[index] if kept[index] else last
+    return map_arrays(joints, lambda values: values[kept])
 
 
 def _skipped(copies: BoolArray, piece: slice) -> IntArray:
@@ -148,52 +203,84 @@ def _uniform_times(
     if len(time) < FEWEST_MESSAGES or not finite.size:
         return None
     stamped = roughness(time, finite)
-    moving = (stamped > 0) & (finite.std(axis=0) > MOTION * stamped)
-    if not moving.any():
-        return None
     best, found = -np.log(GAIN), None
     for number in _numbers(time, period, skipped):
         uniform = _followed(number, time)
         if np.std(time - uniform) < LEAST_JITTER * period or (np.diff(uniform) <= 0).any():
             continue
-        if _lasts(time - uniform, LASTING, period):
+        if _lasts(time - uniform, _lasting(period)[-1], period):
             continue
-        rough = np.maximum(roughness(uniform, finite)[moving], 1e-12 * stamped[moving])
+        rough = roughness(uniform, finite)
+        moving = (stamped > 0) & (finite.std(axis=0) > MOTION * np.minimum(rough, stamped))
+        if not moving.any():
+            continue
+        rough = np.maximum(rough[moving], 1e-12 * stamped[moving])
         change = float(np.mean(np.log(rough / stamped[moving])))
         if change < best:
             best, found = change, uniform
     return found
 
 
+def _jitters(time: FloatArray, position: FloatArray) -> bool:
+    """Return whether times (N,), s, of joints that move jitter enough to change an estimate."""
+    if len(time) < FEWEST_MESSAGES:  # too few to be used
+        return False
+    steps = np.diff(time)
+    period = np.median(steps)
+    if np.median(np.abs(steps - period)) < JITTER * period:
+        return False
+    number = np.arange(len(time), dtype=float)
+    finite = position[:, np.isfinite(position).all(axis=0)]
+    rough = np.minimum(roughness(number, finite), roughness(time, finite))
+    moves = bool((finite.std(axis=0) > MOTION * rough).any())
+    return moves and float(np.std(time - _followed(number, time))) > HARMLESS
+
+
 def _numbers(time: FloatArray, period: float, skipped: IntArray) -> Iterator[FloatArray]:
     """Yield what the samples' numbers may be, without those that were lost or never taken."""
-    yield np.arange(len(time), dtype=float)
-    stamped = _stamped_numbers(time, period)
-    yield stamped
-    if skipped[-1] > skipped[0]:
-        yield stamped - (skipped - skipped[0])
+    found = [np.arange(len(time), dtype=float)]
+    yield found[0]
+    for messages in _lasting(period):
+        stamped = _stamped_numbers(time, period, messages)
+        without = [stamped - (skipped - skipped[0])] if skipped[-1] > skipped[0] else []
+        for number in (stamped, *without):
+            if not any(np.array_equal(number, one) for one in found):
+                found.append(number)
+                yield number
 
 
-def _stamped_numbers(time: FloatArray, period: float) -> FloatArray:
+def _stamped_numbers(time: FloatArray, period: float, messages: int) -> FloatArray:
     """Return the samples' numbers (N,) by their times, s: a delay that lasts means lost samples."""
-    from scipy.ndimage import median_filter  # noqa: PLC0415  (slow to load, rarely needed)
-
     delay = time / period - np.arange(len(time))
-    middle = median_filter(delay, 2 * LASTING + 1, mode="nearest")
+    before, after = _lasting_delays(delay, messages)
     lost = np.zeros(len(time))
-    inner = slice(LASTING + 1, len(time) - LASTING)
-    lasts: BoolArray = np.rint(middle[2 * LASTING + 1 :] - middle[: -2 * LASTING - 1]) > 0
-    late: IntArray = np.arange(len(time))[inner][lasts]
+    late: IntArray = np.flatnonzero(np.rint(after - before)[1:] > 0) + 1
     for run in np.split(late, np.flatnonzero(np.diff(late) > 1) + 1):
         if not len(run):
             continue
         # The largest steps within the run make up the delay that lasts after it.
-        left = np.rint(middle[run[-1] + LASTING] - middle[run[0] - LASTING - 1])
+        left = np.rint(after[run[-1]] - before[run[0]])
         steps = delay[run] - delay[run - 1]
         for place in np.argsort(-steps):
             lost[run[place]] = min(max(np.rint(steps[place]), 1.0), max(left, 0.0))
             left -= lost[run[place]]
     return np.asarray(np.arange(len(time)) + np.cumsum(lost))
+
+
+def _lasting(period: float) -> list[int]:
+    """Return for how many messages a delay may last that is a pause or a loss; ``period`` in s."""
+    return sorted({max(LASTING, round(time / period)) for time in LASTING_TIMES})
+
+
+def _lasting_delays(delay: FloatArray, messages: int) -> tuple[FloatArray, FloatArray]:
+    """Return the median delays (N,) of the messages before and after each, of delays (N,)."""
+    from scipy.ndimage import median_filter  # noqa: PLC0415  (slow to load, rarely needed)
+
+    middle = median_filter(delay, 2 * messages + 1, mode="reflect")
+    places = np.arange(len(delay))
+    before: FloatArray = middle[np.maximum(places - messages - 1, 0)]
+    after: FloatArray = middle[np.minimum(places + messages, len(delay) - 1)]
+    return before, after
 
 
 def _followed(number: FloatArray, time: FloatArray) -> FloatArray:
@@ -218,8 +305,11 @@ def _lasts(delay: FloatArray, samples: float, period: float) -> bool:
 
 
 def _average(values: FloatArray, samples: float) -> FloatArray:
-    """Return the Gaussian moving average of values (N,)."""
-    from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415  (slow to load, rarely needed)
+    """Return the Gaussian moving average of values (N,), reflected at the ends."""
+    from scipy.signal import oaconvolve  # noqa: PLC0415  (slow to load, rarely needed)
 
-    average: FloatArray = gaussian_filter1d(values, samples, mode="reflect")
+    reach = int(4 * samples + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / samples) ** 2)
+    reflected = np.pad(values, reach, mode="symmetric")
+    average: FloatArray = oaconvolve(reflected, weights / weights.sum(), mode="valid")
     return average

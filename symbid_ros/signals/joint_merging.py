@@ -1,11 +1,12 @@
 """Joint states from several publishers merged into one stream by their stamps."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.errors import DataError
+from symbid_ros.signals.defects import typical_period
 from symbid_ros.signals.splines import interpolating_spline
 from symbid_ros.signals.streams import JointStream
 
@@ -21,17 +22,18 @@ def merged_joints(
 ) -> JointStream:
     """Return the joints of all parts as one stream, on the stamps of the fastest part.
 
-    Values with equal stamps are merged unchanged, others are interpolated by a cubic spline.
+    A joint's positions and velocities may come from one part and its efforts from another. Values
+    with equal stamps are merged unchanged, others are interpolated by a cubic spline.
     Nothing is interpolated across a gap of a part.
 
     Parameters
     ----------
     parts : sequence of JointStream
-        A joint that several parts name is taken from the first of them.
+        Of several parts with positions, or efforts, of a joint the first is taken.
     source : str
         Name of the recording, for messages.
     needed : collection of str
-        Joints of the model, where known: parts that add none of them are ignored.
+        Joints of the model, where known: parts that add nothing to them are ignored.
 
     Raises
     ------
@@ -40,56 +42,83 @@ def merged_joints(
     """
     chosen = _contributing(parts, needed)
     if len(chosen) == 1:
-        return chosen[0][0]
-    for part, _ in chosen:
+        return chosen[0]
+    for part in chosen:
         if len(part.stamp) < 2:
             raise DataError(
                 f"{source}: {part.topic}: fewer than two messages name {', '.join(part.names)}; "
                 "let the driver publish these joints at the rate of the others",
                 "E310",
             )
-    periods = [float(np.median(np.diff(part.stamp))) for part, _ in chosen]
+    periods = [typical_period(part.stamp) for part in chosen]
     first = next(index for index, one in enumerate(periods) if one <= SIMILAR_PERIOD * min(periods))
-    stamp = _common_stamps([part for part, _ in chosen], first, periods)
+    stamp = _common_stamps(chosen, first, periods)
     if not len(stamp):
-        described = " and ".join(f"{part.topic} ({', '.join(part.names)})" for part, _ in chosen)
+        described = " and ".join(f"{part.topic} ({', '.join(part.names)})" for part in chosen)
         raise DataError(
             f"{source}: joint states of {described} do not overlap in time; synchronise "
             "the clocks of their publishers",
             "E302",
         )
-    columns = [[part.names.index(name) for name in names] for part, names in chosen]
+    names = tuple(dict.fromkeys(name for part in chosen for name in part.names))
 
-    def merged(field: str) -> FloatArray:
-        return np.hstack(
-            [
-                _at(part.stamp, getattr(part, field)[:, places], stamp)
-                for (part, _), places in zip(chosen, columns, strict=True)
-            ]
-        )
+    def merged(field: str, sources: dict[str, int]) -> FloatArray:
+        values = np.empty((len(stamp), len(names)))
+        for index, part in enumerate(chosen):
+            given = [name for name in names if sources[name] == index]
+            columns = [part.names.index(name) for name in given]
+            places = [names.index(name) for name in given]
+            values[:, places] = _at(part.stamp, getattr(part, field)[:, columns], stamp)
+        return values
 
+    of_motion, of_efforts = _sources(chosen, _with_positions), _sources(chosen, _with_efforts)
     return JointStream(
-        topic=", ".join(dict.fromkeys(part.topic for part, _ in chosen)),
-        names=tuple(name for _, names in chosen for name in names),
+        topic=", ".join(dict.fromkeys(part.topic for part in chosen)),
+        names=names,
         stamp=stamp,
-        position=merged("position"),
-        velocity=merged("velocity"),
-        effort=merged("effort"),
+        position=merged("position", of_motion),
+        velocity=merged("velocity", of_motion),
+        effort=merged("effort", of_efforts),
     )
 
 
-def _contributing(
-    parts: Sequence[JointStream], needed: Collection[str]
-) -> list[tuple[JointStream, tuple[str, ...]]]:
-    """Return the parts that add joints, and which; the first part where none does."""
-    covered: set[str] = set()
+def _contributing(parts: Sequence[JointStream], needed: Collection[str]) -> list[JointStream]:
+    """Return the parts that add joints, or readings of these; the first part where none does."""
+    covered: set[tuple[str, str]] = set()
     chosen = []
     for part in parts:
-        names = tuple(name for name in part.names if name not in covered)
-        if names and (not needed or not set(needed).isdisjoint(names)):
-            chosen.append((part, names))
-            covered.update(names)
-    return chosen or [(parts[0], parts[0].names)]
+        adds = {("name", name) for name in part.names}
+        adds |= {("position", name) for name in _with_positions(part)}
+        adds |= {("effort", name) for name in _with_efforts(part)}
+        adds -= covered
+        if adds and (not needed or any(name in needed for _, name in adds)):
+            chosen.append(part)
+            covered |= adds
+    return chosen or [parts[0]]
+
+
+def _sources(
+    parts: Sequence[JointStream], measured: Callable[[JointStream], list[str]]
+) -> dict[str, int]:
+    """Return the first part that measures each joint, or that names it where none does."""
+    found: dict[str, int] = {}
+    for named in ([measured(part) for part in parts], [part.names for part in parts]):
+        for index, names in enumerate(named):
+            for name in names:
+                found.setdefault(name, index)
+    return found
+
+
+def _with_positions(part: JointStream) -> list[str]:
+    """Return the joints with measured positions."""
+    measured = np.isfinite(part.position).T
+    return [name for name, each in zip(part.names, measured, strict=True) if each.any()]
+
+
+def _with_efforts(part: JointStream) -> list[str]:
+    """Return the joints with measured efforts; many drivers fill others with zeros."""
+    measured = np.where(np.isfinite(part.effort), part.effort, 0.0).T
+    return [name for name, each in zip(part.names, measured, strict=True) if each.any()]
 
 
 def _common_stamps(parts: Sequence[JointStream], clock: int, periods: Sequence[float]) -> IntArray:

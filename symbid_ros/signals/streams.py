@@ -272,6 +272,8 @@ class Slice:
         Which topic was silent; empty if none was.
     recording : int
         Number of the recording; between two, nothing is missing.
+    split_stamps : dict of str to tuple of (N,) int64
+        Of topics whose messages name different joints, the stamps for each set of joints.
     """
 
     start: int
@@ -281,6 +283,7 @@ class Slice:
     tallies: tuple[DefectCounts, ...]
     fault: str = ""
     recording: int = 0
+    split_stamps: Mapping[str, tuple[IntArray, ...]] = field(default_factory=dict)
 
 
 WHOLE_LOG = TimeRange()

@@ -74,9 +74,29 @@ def test_lost_messages_are_counted_within_and_between_slices(cut):
     assert "4 messages (4 %) are missing in 2 gaps, the longest lasts 0.04 s" in finding.message
 
 
+@pytest.mark.parametrize("offset_ms", [0.0, 0.001, 0.5, 2.0, 5.0])
+def test_parts_of_a_topic_have_periods_of_their_own(offset_ms):
+    """Two drivers publish half of the joints each."""
+    check = TimingCheck("/joint_states")
+    for cut in (slice(0, 50), slice(50, 100)):
+        check.add(ticks(100)[cut], part=0)
+        check.add(np.delete(ticks(100, first_ms=offset_ms)[cut], [20, 21]), part=1)
+    figures = check.figures
+    assert figures.rate_hz == pytest.approx(100)
+    assert (figures.messages, figures.gaps, figures.missing) == (196, 2, 4)
+    assert figures.jitter == pytest.approx(0, abs=1e-12)
+    assert figures.duration_s == pytest.approx(0.99 + offset_ms * 1e-3)
+    assert [one.kind for one in findings(check)] == [Kind.GAP]
+
+
 @pytest.mark.parametrize(
     ("lost", "severity", "percent"),
-    [(19, Severity.WARNING, 49), (21, Severity.UNUSABLE, 51), (480, Severity.UNUSABLE, 96)],
+    [
+        (4000, Severity.UNUSABLE, "over 99"),
+        (19, Severity.WARNING, 49),
+        (21, Severity.UNUSABLE, 51),
+        (480, Severity.UNUSABLE, 96),
+    ],
 )
 def test_a_topic_that_lacks_more_than_half_of_its_messages_is_unusable(lost, severity, percent):
     """Twenty messages are left."""

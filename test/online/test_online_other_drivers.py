@@ -10,6 +10,8 @@ from live_feed import feed_of
 from split_joints import JOINTS, Part, left, right, split_joints, stamped
 
 from symbid_ros.bags import bag_log, read_streams
+from symbid_ros.diagnosis.doctor import diagnose
+from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.messages.sensor_mapping import SensorMapping
@@ -22,7 +24,7 @@ from symbid_ros.signals.alignment import align_checked
 
 ALL = TopicSelection()
 APART = TopicSelection(joints=("/left/joint_states", "/right/joint_states"))
-LATE = 300_000  # ns between the stamps of two drivers
+JUST_LATER, LATE = 1000, 300_000  # ns between the stamps of two drivers
 FIELDS = ("stamp", "position", "effort", "angular_velocity", "linear_acceleration", "wrenches")
 
 
@@ -48,6 +50,7 @@ class Heard:
     blocks: dict[str, np.ndarray]
     pieces: dict[str, np.ndarray]
     faults: list[str]
+    missing: int
     unstamped: dict[str, int]
 
 
@@ -73,6 +76,7 @@ def heard(feed, model, prefix="") -> Heard:
         joined(segment for block in blocks if block for segment in block.segments),
         joined(segment for piece in pieces for segment in piece.segments),
         [block.fault for block in blocks if block and block.fault],
+        sum(buffer.missing for buffer in buffers.values()),
         {topic.name: buffer.unstamped for topic, buffer in buffers.items()},
     )
 
@@ -104,6 +108,10 @@ def changed(feed, change):
 
 SPLITS = {
     "one topic": ([Part(JOINTS, left), Part(JOINTS, right)], TopicSelection()),
+    "one topic, two clocks": (
+        [Part(JOINTS, left), Part(JOINTS, right, JUST_LATER)],
+        TopicSelection(),
+    ),
     "two topics": (
         [Part("/left/joint_states", left), Part("/right/joint_states", right)],
         APART,
@@ -115,6 +123,14 @@ SPLITS = {
     "two rates": (
         [Part("/left/joint_states", left, every=4), Part("/right/joint_states", right)],
         APART,
+    ),
+    "efforts apart": (
+        [
+            Part(JOINTS, lambda _: True, fields=("position", "velocity")),
+            Part("/left/efforts", left, fields=("effort",)),
+            Part("/right/efforts", right, fields=("effort",)),
+        ],
+        TopicSelection(joints=(JOINTS, "/left/efforts", "/right/efforts")),
     ),
 }
 
@@ -129,12 +145,14 @@ def test_joints_in_parts_are_merged_by_stamp_live_as_from_a_bag(
         joined(AlignedLog(bag_log([one], model, of), model))
         for one, of in ((bag, ALL), (log, topics))
     )
-    if way in ("one topic", "two topics"):
+    if way in ("one topic", "two topics", "efforts apart"):
         assert_equal(merged, whole)
     else:
         assert abs(len(merged["stamp"]) - len(whole["stamp"])) <= 4
     live = heard(feed_of(log, topics), model)
-    assert live.faults == []
+    assert (live.faults, live.missing) == ([], 0)
+    found = diagnose(bag_log([log], model, topics)).findings
+    assert not [one for one in found if one.kind in (Kind.GAP, Kind.RATE)]
     for name, values in merged.items():  # splines over more data differ by rounding
         np.testing.assert_allclose(live.blocks[name], values, rtol=1e-9, atol=1e-9, err_msg=name)
     assert len(live.pieces["stamp"]) >= 0.8 * len(merged["stamp"])

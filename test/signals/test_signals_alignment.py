@@ -102,6 +102,14 @@ def test_a_gap_is_measured_by_the_period_of_its_own_topic(model) -> None:
     assert len(align(streams(model, fast, without(fast, 0.505, 0.545), slow), model)) == 2
 
 
+def test_a_topic_whose_stamps_jitter_by_several_periods_has_no_gap(model) -> None:
+    fast = ticks(MILLISECOND)
+    jitter = np.random.default_rng(0).integers(-3 * MILLISECOND, 3 * MILLISECOND, len(fast))
+    jittery = np.sort(fast + jitter) + np.arange(len(fast))
+    assert np.diff(jittery).max() > 5.5 * np.median(np.diff(jittery))
+    assert len(align(streams(model, fast, jittery, fast), model)) == 1
+
+
 def test_where_another_topic_has_a_gap_splines_reach_beyond_the_cut(model) -> None:
     """The ends of a segment are as accurate as its middle where the slow topic continues."""
     fast, slow = ticks(MILLISECOND), ticks(10 * MILLISECOND, 3_700_000)

@@ -161,7 +161,7 @@ def test_a_fixed_robot_without_any_effort_is_rejected() -> None:
     model = robot(floating=False)
     silent = streams_of(model)
     silent.joints.effort[:] = NAN
-    with raises_code("E305"):
+    with raises_code("E305", "name the topic that has the efforts as well .`joint_topic`"):
         align(silent, model)
 
 

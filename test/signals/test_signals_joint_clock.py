@@ -69,6 +69,69 @@ def test_stamps_that_jitter_about_uniform_samples_are_corrected() -> None:
     assert error(clock.joints.stamp, sampled) < 0.05e-3
 
 
+def spaced(stamped, apart):
+    """Return stamps in order, s, each at least some time after the one before."""
+    order = apart * np.arange(len(stamped))
+    return np.maximum.accumulate(np.sort(stamped) - order) + order
+
+
+@pytest.mark.parametrize("apart", [1e-8, 2e-5])
+@pytest.mark.parametrize("rate", [200.0, 500.0, 1000.0, 2000.0])
+def test_stamps_that_jitter_by_several_periods_are_corrected(rate, apart) -> None:
+    sampled = np.arange(0, 20, 1 / rate)
+    jitter = np.random.default_rng(5).uniform(-5e-3, 5e-3, len(sampled))
+    recorded = stream(spaced(sampled + jitter, apart), sampled)
+    clock = sampled_joints(recorded)
+    assert error(recorded.stamp, sampled) > 0.8e-3
+    assert error(clock.joints.stamp, sampled) < 0.15e-3
+    assert clock.uncorrected == 0
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0])
+def test_messages_that_wait_for_a_late_one_are_corrected(rate) -> None:
+    """They come in bursts, so that most intervals are far shorter than a period."""
+    sampled = np.arange(0, 20, 1 / rate)
+    late = np.random.default_rng(6).exponential(2e-3, len(sampled))
+    recorded = stream(spaced(np.maximum.accumulate(sampled + late), 2e-5), sampled)
+    clock = sampled_joints(recorded)
+    assert error(recorded.stamp, sampled) > 2e-3
+    assert error(clock.joints.stamp, sampled) < 0.25e-3
+
+
+@pytest.mark.parametrize("pause", [0.03, 0.1])
+def test_pauses_are_kept_where_stamps_jitter_by_several_periods(pause) -> None:
+    even = np.arange(0, 20, 0.002)
+    sampled = even + pause * np.floor(even / 1.9)
+    jitter = np.random.default_rng(7).uniform(-5e-3, 5e-3, len(sampled))
+    recorded = stream(spaced(sampled + jitter, 2e-5), sampled)
+    clock = sampled_joints(recorded)
+    assert error(recorded.stamp, sampled) > 1.5e-3
+    assert error(clock.joints.stamp, sampled) < 0.25e-3
+
+
+def test_of_samples_with_nearly_equal_stamps_one_is_kept() -> None:
+    """No smooth curve passes through both where the stamps stay as they are."""
+    sampled = np.cumsum(np.random.default_rng(8).uniform(0.006, 0.014, 2000))
+    stamped = sampled.copy()
+    stamped[700] = stamped[699] + 1e-8
+    recorded = stream(stamped, sampled)
+    kept = np.delete(recorded.stamp, 700)
+    assert np.array_equal(sampled_joints(recorded).joints.stamp, kept)
+
+
+def test_a_part_that_keeps_its_jittering_stamps_beside_a_corrected_one_is_reported() -> None:
+    rng = np.random.default_rng(9)
+    even = np.arange(0, 10, 0.002)
+    uneven = 11.0 + np.cumsum(rng.exponential(0.002, 2500))
+    sampled = np.append(even, uneven)
+    recorded = stream(spaced(sampled + rng.uniform(-5e-3, 5e-3, len(sampled)), 2e-5), sampled)
+    check = JitterCheck("/joint_states")
+    check.add(recorded)
+    found = {one.kind: one for one in check.findings()}
+    assert Kind.STAMP in found
+    assert 0.25 < found[Kind.JITTER].figures["share"] < 0.34  # short pieces are not used
+
+
 def test_a_clock_that_drifts_is_followed() -> None:
     rng = np.random.default_rng(6)
     sampled = np.arange(0, 60, 0.01)

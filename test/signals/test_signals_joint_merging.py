@@ -88,6 +88,31 @@ def test_a_joint_is_taken_from_the_first_part_and_parts_without_needed_joints_ar
     assert merged_joints([arms, gripper], "log", ("arm",)) is arms
 
 
+@pytest.mark.parametrize("absent", [np.nan, 0.0])
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_efforts_may_come_from_other_topics_than_positions(absent, first) -> None:
+    """Drivers leave efforts out, or fill them with zeros."""
+    states = part(every(MS), "arm", "hip")
+    states.effort[:] = absent
+    loads = [
+        part(every(MS), "arm", topic="/arm/efforts"),
+        part(every(2 * MS), "hip", topic="/hip/efforts"),
+    ]
+    for one in loads:
+        one.position[:] = one.velocity[:] = np.nan
+    parts = [states, *loads]
+    merged = merged_joints(parts[first:] + parts[:first], "log", ("arm", "hip"))
+    assert_motion(merged, sorted(merged.names, key=merged.names.index), within=2e-6)
+    assert set(merged.names) == {"arm", "hip"}
+    assert np.all(np.diff(merged.stamp) == MS)
+
+
+def test_efforts_that_no_part_measures_are_those_of_the_first() -> None:
+    states, again = part(every(MS), "arm"), part(every(MS), "arm", "hip")
+    states.effort[:] = again.effort[:] = 0.0
+    assert not merged_joints([states, again], "log").effort.any()
+
+
 def test_parts_that_cannot_be_merged_are_named() -> None:
     arms = part(every(MS), "arm", topic="/arm")
     late = part(every(MS, 5_000 * MS, 6_000 * MS), "hip", topic="/leg")

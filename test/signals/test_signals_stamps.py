@@ -18,6 +18,7 @@ from symbid_ros.signals.defects import (
     find_gaps,
     kept_in_order,
     seconds,
+    typical_period,
 )
 
 PERIOD = 1_000_000
@@ -106,6 +107,26 @@ def test_jitter_is_no_loss(lost: int) -> None:
     found = find_gaps(np.rint((index + early) * PERIOD).astype(np.int64))
     assert np.sum(np.diff(index + early) >= 1.5) > 300
     assert 0.8 * lost <= found.missing <= lost
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.3, 5.0, 10.0])
+def test_the_period_is_right_where_stamps_jitter_by_several_periods(jitter: float) -> None:
+    rng = np.random.default_rng(1)
+    index = np.arange(5000) + 40 * (np.arange(5000) // 1000)  # with pauses
+    stamps = np.sort(np.rint((index + rng.uniform(-jitter, jitter, 5000)) * PERIOD))
+    assert typical_period(stamps) == pytest.approx(PERIOD, rel=0.01 if jitter else 1e-12)
+
+
+def test_the_period_is_not_that_of_messages_within_a_burst() -> None:
+    index = np.arange(4000)
+    stamps = (index // 8 * 8) * PERIOD + index % 8 * (PERIOD // 50)
+    assert typical_period(stamps) == pytest.approx(PERIOD, rel=0.05)
+
+
+def test_jitter_by_several_periods_is_hardly_any_loss() -> None:
+    jitter = np.random.default_rng(2).uniform(-2.5, 2.5, 10_000)
+    stamps = np.sort(np.rint((np.arange(10_000) + jitter) * PERIOD).astype(np.int64))
+    assert find_gaps(stamps).missing < 150
 
 
 @pytest.mark.parametrize(("step", "gaps", "missing"), [(1.4, 0, 0), (1.5, 1, 1), (2.6, 1, 2)])

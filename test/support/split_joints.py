@@ -12,16 +12,21 @@ from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.types import JOINT_STATE, fill_message, joint_state_layout, read_stamp
 
 JOINTS = "/joint_states"
+FIELDS = ("position", "velocity", "effort")
 
 
 @dataclass(frozen=True)
 class Part:
-    """Joints published on a separate or a shared topic; ``delay`` in ns."""
+    """Joints published on a separate or a shared topic; ``delay`` in ns.
+
+    Fields that it does not publish are NaN.
+    """
 
     topic: str
     joints: Callable[[str], bool]
     delay: int = 0
     every: int = 1
+    fields: tuple[str, ...] = FIELDS
 
 
 def left(name: str) -> bool:
@@ -70,7 +75,8 @@ def split_joints(bag: Path, out: Path, parts: Sequence[Part]) -> Path:
                         stamp,
                         **{
                             field: piece.records[field][rows][:, chosen]
-                            for field in ("position", "velocity", "effort")
+                            * (1.0 if field in part.fields else np.nan)
+                            for field in FIELDS
                         },
                     )
                     written += [
