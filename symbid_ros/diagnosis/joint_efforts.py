@@ -20,6 +20,9 @@ from symbid_ros.diagnosis.gain_problem import (
 WIDE = 3.0
 # Ratios of readings to efforts that errors of the inertias may cause.
 PLAUSIBLE = 0.6, 1.6
+# Largest share of noise in the power of a load, apart from what inertias and friction explain, that
+# still tells a ratio.
+MOST_NOISE = 0.5
 # Number of variances at which the evidence is compared.
 VARIANCES = 60
 
@@ -30,7 +33,8 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
     The gains of `estimate_gains` multiply friction and noise in the readings as well, so a joint
     with more friction than load appears to have no gain. Here the readings are the load that the
     inertias imply times the ratio, plus friction, armature and offset of any size. Only the load
-    determines the ratio.
+    determines the ratio. White noise of the wrenches in the load would attenuate the ratio. Its
+    power is subtracted, and the deviation includes the size of this correction.
 
     Parameters
     ----------
@@ -52,19 +56,27 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
     if np.sqrt(float(load @ load) / rows.samples) <= LEAST * size or size == 0.0:
         return 1.0, GAIN_STD
     inertias, drives = _scaled_columns(problem, factor, size)
+    noise = rows.samples * _load_noise(problem, gains, index)
     ratio, left = 1.0, (LOAD_ERROR * size) ** 2
     for _ in range(2 * ITERATIONS):
         columns = np.column_stack([load, inertias * np.clip(abs(ratio), LEAST, 1 / LEAST), drives])
         weight = 1 / (UNMODELLED * (left + (FLOOR * size) ** 2))
         information = weight * columns.T @ columns + np.eye(columns.shape[1])
         information[0, 0] += LEAST**2 * weight * float(load @ load) - 1
+        # Noise in the load attenuates the ratio: its power is no information.
+        apparent = 1 / float(np.linalg.inv(information)[0, 0])
+        information[0, 0] -= min(weight * noise, MOST_NOISE * apparent)
         at = np.linalg.solve(information, weight * columns.T @ read)
         ratio = float(at[0])
         left = float(np.sum((read - columns @ at) ** 2)) / rows.samples
     # Friction near rest leaves residuals in which so small a load cannot be seen.
     if max(abs(ratio), 1.0) * np.sqrt(float(load @ load) / rows.samples) < SMALL_SHARE * size:
         return 1.0, GAIN_STD
-    std = float(np.sqrt(np.linalg.inv(information)[0, 0]))
+    attenuation = weight * noise / apparent
+    if attenuation > MOST_NOISE:
+        return 1.0, GAIN_STD
+    std = np.sqrt(apparent) * float(np.linalg.inv(information)[0, 0])
+    std = float(np.hypot(std, attenuation * ratio))
     if layout.wrench_frames or PLAUSIBLE[0] < ratio < PLAUSIBLE[1]:
         return _away_from_zero(ratio), std
     # Without measured forces an uncertain load attenuates the ratio. Likelihoods tell whether
@@ -121,6 +133,16 @@ def _rows_of(problem: GainProblem, index: int) -> tuple[FloatArray, float]:
     factor = rows.factor(first + layout.driven[index])
     read = factor[:, len(problem.mean) + layout.efforts.start + index]
     return factor, float(np.sqrt(float(read @ read) / max(rows.samples, 1)))
+
+
+def _load_noise(problem: GainProblem, gains: GainEstimate, index: int) -> float:
+    """Return the mean square of a driven joint's load by white noise of the wrenches."""
+    layout = problem.gains
+    if problem.load_noise is None:
+        return 0.0
+    matrices = [gains.matrix(layout.wrench(place))[0] for place in range(len(layout.wrench_frames))]
+    scale = np.array([np.mean(np.sum(A**2, axis=1)) for A in matrices])
+    return float(scale @ problem.load_noise[:, layout.driven[index]])
 
 
 def _scaled_columns(
