@@ -3,6 +3,7 @@
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.effort_lags import LAGS, LaggedRows
 from symbid_ros.diagnosis.gain_problem import (
     DELAY_STD,
     FLOOR,
@@ -23,6 +24,14 @@ PLAUSIBLE = 0.6, 1.6
 # Largest share of noise in the power of a load, apart from what inertias and friction explain, that
 # still tells a ratio.
 MOST_NOISE = 0.5
+# Identification is insensitive to smaller delays, s. A delay is certain at so many deviations, and
+# it must explain this share of the squares of a joint's residuals. Friction that is not modelled
+# explains a fifth of them on simulated arms; on public logs no delay is both.
+LARGEST_DELAY, CERTAIN, MOSTLY = 3e-3, 5.0, 0.5
+# A delay is known with this deviation, s.
+KNOWN = 2 * LARGEST_DELAY
+# Steps in which a delay is found, until one is this small, s.
+DELAY_STEPS, SMALL_STEP = 10, 5e-4
 # Number of variances at which the evidence is compared.
 VARIANCES = 60
 
@@ -101,22 +110,13 @@ def effort_delay_error(problem: GainProblem) -> float:
     Friction that lags behind the motion looks like a delay, but not like the same one at every
     joint. If one joint tells most, nothing shows that the others agree.
     """
-    rows, layout, p = problem.rows, problem.gains, len(problem.mean)
+    layout = problem.gains
     found = []
     for index in range(len(layout.driven)):
         factor, size = _rows_of(problem, index)
-        if size == 0.0:
-            continue
-        late = factor[:, p + layout.effort_delay] * DELAY_STD
-        target = factor[:, -1] - factor[:, :p] @ problem.mean
-        columns = np.column_stack([late, *_scaled_columns(problem, factor, size)])
-        left = (LOAD_ERROR * size) ** 2
-        for _ in range(2 * ITERATIONS):
-            weight = 1 / (UNMODELLED * (left + (LEAST * size) ** 2))
-            information = weight * columns.T @ columns + np.eye(columns.shape[1])
-            at = np.linalg.solve(information, weight * columns.T @ target)
-            left = float(np.sum((target - columns @ at) ** 2)) / rows.samples
-        found.append((DELAY_STD * at[0], DELAY_STD**2 * np.linalg.inv(information)[0, 0]))
+        if size > 0.0:
+            step, std, _ = _delay_in(problem, factor, size)
+            found.append((step, std**2))
     if len(found) < min(len(layout.driven), 2):  # the others rest
         return DELAY_STD
     delay, variance = np.array(found).T
@@ -126,11 +126,85 @@ def effort_delay_error(problem: GainProblem) -> float:
     return float(np.sqrt(1 / np.sum(1 / variance) + spread))
 
 
+def late_efforts(problem: GainProblem, common: float) -> dict[str, tuple[float, float]]:
+    """Return the driven joints whose efforts alone are late, each with its delay and deviation, s.
+
+    Friction that is not modelled looks like a delay too. It explains a small part of a joint's
+    residuals; a delay explains most of them. The delay of at least one other joint must be known.
+
+    Parameters
+    ----------
+    problem : GainProblem
+        With the efforts as they were read.
+    common : float
+        Delay of all efforts, s.
+    """
+    if problem.lagged is None:
+        return {}
+    late, usual = {}, False
+    for index, name in enumerate(problem.gains.joint_names):
+        delay, std, explained = _joint_delay(problem, problem.lagged, index, common)
+        apart = abs(delay - common)
+        if apart > max(CERTAIN * std, LARGEST_DELAY) and explained > MOSTLY:
+            late[name] = delay, std
+        else:
+            usual = usual or std < KNOWN
+    return late if usual else {}
+
+
+def _joint_delay(
+    problem: GainProblem, lagged: LaggedRows, index: int, start: float
+) -> tuple[float, float, float]:
+    """Return the delay of a joint's effort, its deviation, s, and the share of squares it explains.
+
+    Coulomb friction makes efforts jump, so the delay is found in steps from ``start``.
+    """
+    coordinate, delay = _coordinate(problem, index), start
+    _, size = _rows_of(problem, index)
+    if size == 0.0:
+        return start, DELAY_STD, 0.0
+    first = lagged.shifted_factor(coordinate, start)
+    _, _, before = _delay_in(problem, first, size, std=LEAST * DELAY_STD)
+    for _ in range(DELAY_STEPS):
+        factor = lagged.shifted_factor(coordinate, delay)
+        step, std, left = _delay_in(problem, factor, size)
+        delay = float(np.clip(delay + step, LAGS[0], LAGS[-1]))
+        if abs(step) < SMALL_STEP:
+            break
+    return delay, std, 1 - left / max(before, np.finfo(float).tiny)
+
+
+def _delay_in(
+    problem: GainProblem, factor: FloatArray, size: float, std: float = DELAY_STD
+) -> tuple[float, float, float]:
+    """Return the delay in rows of one joint, its deviation, s, and the mean square that remains.
+
+    ``std`` is the prior deviation of the delay, s.
+    """
+    p = len(problem.mean)
+    late = factor[:, p + problem.gains.effort_delay] * std
+    target = factor[:, -1] - factor[:, :p] @ problem.mean
+    columns = np.column_stack([late, *_scaled_columns(problem, factor, size)])
+    left = (LOAD_ERROR * size) ** 2
+    for _ in range(2 * ITERATIONS):
+        weight = 1 / (UNMODELLED * (left + (LEAST * size) ** 2))
+        information = weight * columns.T @ columns + np.eye(columns.shape[1])
+        at = np.linalg.solve(information, weight * columns.T @ target)
+        left = float(np.sum((target - columns @ at) ** 2)) / problem.rows.samples
+    deviation = std * float(np.sqrt(np.linalg.inv(information)[0, 0]))
+    return std * float(at[0]), deviation, left
+
+
+def _coordinate(problem: GainProblem, index: int) -> int:
+    """Return the coordinate of a driven joint."""
+    first = sum(name.startswith("base/") for name in problem.rows.coordinates)
+    return first + problem.gains.driven[index]
+
+
 def _rows_of(problem: GainProblem, index: int) -> tuple[FloatArray, float]:
     """Return the factor of a driven joint's rows, and its root mean square reading."""
     layout, rows = problem.gains, problem.rows
-    first = sum(name.startswith("base/") for name in rows.coordinates)
-    factor = rows.factor(first + layout.driven[index])
+    factor = rows.factor(_coordinate(problem, index))
     read = factor[:, len(problem.mean) + layout.efforts.start + index]
     return factor, float(np.sqrt(float(read @ read) / max(rows.samples, 1)))
 
@@ -153,7 +227,8 @@ def _scaled_columns(
     drives = factor[:, links:p]
     norm = np.sqrt(np.sum(drives**2, axis=0) / problem.rows.samples)
     wide = drives[:, norm > 0] * (WIDE * size / norm[norm > 0])
-    return factor[:, :links] * problem.for_joints.std[:links], wide
+    inertias = factor[:, :links] * problem.for_joints.std[:links]
+    return inertias[:, np.any(inertias != 0, axis=0)], wide
 
 
 def log_likelihoods(

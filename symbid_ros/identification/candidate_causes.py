@@ -196,7 +196,7 @@ class CandidateBuilder:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Kinds with one column for each joint."""
+        """Kinds with one column for each joint; a delay's also serve for all efforts together."""
         gain = () if self.errors is None else ("torque_gain",)
         warming = ("warming",) if self.span[1] - self.span[0] >= LEAST_WARMING else ()
         return (*self.terms, "quadratic", *warming, "delay", *gain)
@@ -261,11 +261,12 @@ class CandidateBuilder:
         own = K.shape[2] - len(self.effects) - 1
         for index, kind in enumerate(self.effects):
             column = K[:, :, own + index, None]
+            diagonal = np.eye(len(joints), model.dof, first).T
+            single = kind
             if kind == "delay":
                 found.append(Candidate(kind, ("efforts",), column))
-            else:
-                diagonal = np.eye(len(joints), model.dof, first).T
-                found.append(Candidate(kind, joints, column * diagonal))
+                single = "effort_delay"
+            found.append(Candidate(single, joints, column * diagonal))
         if self.errors is not None:
             for kind, place in self.errors.places.items():
                 owners = tuple(name.rpartition("/")[0] for name in self.errors.names[place])

@@ -55,6 +55,7 @@ EFFECTS = {
     "presliding": "friction that lags behind a reversal",
     "stiffness": "springs at joints",
     "delay": "a delay",
+    "effort_delay": "delays of single efforts",
     "torque_gain": "gains of the efforts",
     "encoder_offset": "encoder offsets",
     "compliance": "elasticity",
@@ -104,6 +105,8 @@ class Cause:
             return f"give `sensor_errors` {self.kind}"
         if self.kind == "delay":
             return "give `sensor_errors` sensor_delay, or correct the stamps of one of them"
+        if self.kind == "effort_delay":
+            return "remove the delay or filter of these drives' readings"
         return WARM if self.kind == "warming" else NO_OPTION
 
 
@@ -164,7 +167,8 @@ def _with_tried_causes(
     if rows is None:
         when, sentence = "", "the log is too short to try likely causes; record longer"
     else:
-        is_late = any(one.kind is Kind.DELAY for one in problem.checks.findings)
+        late = {Kind.DELAY, Kind.EFFORT_DELAY}
+        is_late = any(one.kind in late for one in problem.checks.findings)
         sentence = _explanation(rows, worst, DELAY_ALARM if is_late else "")
         when = _when(rows, worst.coordinate)
     return _with_cause(found, when, sentence)
@@ -201,7 +205,7 @@ def _explanation(rows: CandidateRows, worst: UnexplainedForce, delay: str = "") 
     likely = "likely cause" if cause.gain > MOSTLY else "a part of it"
     left = force_text(worst.size * cause.remains, worst.unit)
     what = f"{EFFECTS[cause.kind]}{cause.detail}"
-    if cause.kind == "delay" and delay:
+    if cause.kind in ("delay", "effort_delay") and delay:
         what = delay
     return f"{likely}: {what}, which would leave {left}; {cause.advice}"
 
@@ -221,10 +225,12 @@ def best_cause(rows: CandidateRows, coordinate: str) -> Cause | None:
     if not singles:
         return None
     best = max(singles.values(), key=lambda cause: cause.gain)
+    if best.kind == "effort_delay" and _is_similar(singles["delay"], best):
+        best = singles["delay"]
     of_sensors = [one for one in rows.candidates if one.kind in TYPICAL_ERRORS]
     if len(of_sensors) > 1:
         together = tried(SEVERAL, *of_sensors)
-        if 1 - together.gain < MOSTLY * (1 - best.gain):
+        if not _is_similar(best, together):
             best = together
     if best.gain < LEAST_GAIN:
         return None
@@ -233,6 +239,11 @@ def best_cause(rows: CandidateRows, coordinate: str) -> Cause | None:
         return replace(best, detail=f", above all {EFFECTS[largest.kind]}")
     (one,) = (one for one in rows.candidates if one.kind == best.kind)
     return replace(best, detail=_detail(one, tests.coefficients(one)))
+
+
+def _is_similar(one: Cause, wider: Cause) -> bool:
+    """Return whether a wider cause leaves more than half of what another one leaves."""
+    return 1 - wider.gain >= MOSTLY * (1 - one.gain)
 
 
 def _when(rows: CandidateRows, coordinate: str) -> str:
@@ -269,6 +280,9 @@ def _detail(cause: Candidate, values: FloatArray) -> str:
     size = np.abs(values) * np.sqrt(np.mean(cause.columns**2, axis=(0, 1)))
     largest = int(np.argmax(size))
     owner, value = cause.owners[largest], float(values[largest])
+    if cause.kind == "effort_delay":
+        late = "late" if value < 0 else "early"
+        return f", {1e3 * abs(value):.2g} ms {late} at {owner}"
     if cause.kind == "torque_gain":
         return f", {100 * value:+.2g} % at {owner}"
     if cause.kind == "encoder_offset":

@@ -35,6 +35,12 @@ def late(time, position, effort):
     return position, np.stack([np.interp(time - DELAY, time, one) for one in effort.T], axis=1)
 
 
+def one_late(time, position, effort):
+    effort = effort.copy()
+    effort[:, JOINT] = np.interp(time - DELAY, time, effort[:, JOINT])
+    return position, effort
+
+
 def with_gain(_, position, effort):
     effort = effort.copy()
     effort[:, JOINT] *= GAIN
@@ -82,6 +88,9 @@ def identify(robot, fault):
 
 FAULTS = {
     "delay": Fault(r"a delay of the efforts by (\S+) ms", 1e3 * DELAY, late),
+    "single delay": Fault(
+        r"delays of single efforts, (\S+) ms late at joint_2", 1e3 * DELAY, one_late
+    ),
     "gain": Fault(
         r"gains of the efforts, (\S+) % at joint_2",
         100 * (GAIN - 1),
