@@ -38,6 +38,10 @@ WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of
 WRONG_EFFORTS = (
     "the factors of the efforts that another alarm names may explain it; correct these first"
 )
+WRONG_WEIGHING = (
+    "the weighing, which contradicts the data according to another alarm, may explain it; settle "
+    "that first"
+)
 FROZEN = "a joint at rest that another alarm names may explain it; check that first"
 DELAY_ALARM = "the delay that another alarm names"
 WRONG_READINGS = (
@@ -164,6 +168,8 @@ def _with_tried_causes(
         return _with_cause(found, "", disturbance.sentence, is_first=True)
     if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
         return _with_cause(found, "", WRONG_EFFORTS)
+    if any(Alarm.WEIGHING in alarm for alarm in verdict.alarms):
+        return _with_cause(found, "", WRONG_WEIGHING)
     if rows is None:
         when, sentence = "", "the log is too short to try likely causes; record longer"
     else:
