@@ -72,9 +72,17 @@ EFFECTS = {
     "plate_offset": "offsets of the wrench sensors",
     "plate_gain": "gains of the wrench sensors",
     "plate_pose": "positions of the wrench sensors",
+    "support": "a support without a sensor, such as a cable",
     "typical": "several sensor errors together",
 }
 SEVERAL = "typical"
+# What to do about causes that are neither joint terms nor sensor errors.
+ADVICE = {
+    "delay": "give `sensor_errors` sensor_delay, or correct the stamps of one of them",
+    "effort_delay": "remove the delay or filter of these drives' readings",
+    "support": "remove it, or record its force as a wrench",
+    "warming": WARM,
+}
 
 
 @dataclass(frozen=True)
@@ -107,11 +115,7 @@ class Cause:
             return "give a `tare`, or `sensor_errors` plate_offset"
         if self.kind in SENSOR_ERROR_KINDS or self.kind == SEVERAL:
             return f"give `sensor_errors` {self.kind}"
-        if self.kind == "delay":
-            return "give `sensor_errors` sensor_delay, or correct the stamps of one of them"
-        if self.kind == "effort_delay":
-            return "remove the delay or filter of these drives' readings"
-        return WARM if self.kind == "warming" else NO_OPTION
+        return ADVICE.get(self.kind, NO_OPTION)
 
 
 def explained(
@@ -282,6 +286,8 @@ def _detail(cause: Candidate, values: FloatArray) -> str:
     if cause.kind == "delay":
         late = "efforts" if values[0] < 0 else "positions"
         return f" of the {late} by {1e3 * abs(values[0]):.2g} ms"
+    if cause.kind == "support":
+        return f", of some {force_text(abs(float(values[1])), 'N')}"
     size = np.abs(values) * np.sqrt(np.mean(cause.columns**2, axis=(0, 1)))
     largest = int(np.argmax(size))
     owner, value = cause.owners[largest], float(values[largest])
