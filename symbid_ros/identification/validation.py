@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import IntArray
 from symbid_ros.blas_threads import on_one_blas_thread
-from symbid_ros.errors import DataError
+from symbid_ros.errors import DataError, OptionError
 from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.error_changes import (
@@ -38,7 +38,9 @@ NOTICEABLE, SMALL_EFFORT = 0.01, 0.05
 
 
 @on_one_blas_thread
-def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = ()) -> Validation:
+def validate(
+    result: Result | str | Path, log: Log, *, payload: str | Sequence[str] = ()
+) -> Validation:
     """Compare what an identified robot predicts for a log with what was measured.
 
     Parameters
@@ -47,7 +49,7 @@ def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = 
         A result, or the folder of a saved one.
     log : Log
         Measurements that the identification did not use.
-    payload : sequence of str
+    payload : str or sequence of str
         Payloads that the robot carries in it: ``LINK,MASS,X,Y,Z``, or ``LINK,MASS`` if the result
         has identified the place.
 
@@ -63,6 +65,8 @@ def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = 
         When the log is invalid or of another robot.
     EstimateError
         When a file of the result is missing or invalid.
+    OptionError
+        When a payload is invalid.
     """
     predictor = predictor_of(result, log, payload)
     return validate_segments(predictor, AlignedLog(log, predictor.parameters.model), log.source)
@@ -75,7 +79,9 @@ def validate_segments(
     return assess(predictor, ForceRows.of(predictor, segments, source), source)
 
 
-def predictor_of(result: Result | str | Path, log: Log, payload: Sequence[str]) -> ForcePredictor:
+def predictor_of(
+    result: Result | str | Path, log: Log, payload: str | Sequence[str]
+) -> ForcePredictor:
     """Return what predicts the forces of a log with payloads; see :func:`validate`."""
     require_log(log)
     if isinstance(result, Result):
@@ -88,7 +94,12 @@ def predictor_of(result: Result | str | Path, log: Log, payload: Sequence[str]) 
             f"{type(result).__name__}",
             "E511",
         )
-    return predictor.with_frames_of(log).carrying(payload)
+    payloads = (payload,) if isinstance(payload, str) else payload
+    if not isinstance(payloads, Sequence) or not all(isinstance(one, str) for one in payloads):
+        raise OptionError(
+            f"`payload`: {payload!r} is not valid; give text or a list of texts", "E501"
+        )
+    return predictor.with_frames_of(log).carrying(payloads)
 
 
 def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validation:
