@@ -52,14 +52,29 @@ class LaggedRows:
     def shifted(self, delay: float) -> CoordinateRows:
         """Return the rows after the efforts are read so much later, s; lags limit the shift."""
         q = self.rows.structure.shape[1]
-        largest = LAGS[-1] - STEP
-        at = float(np.clip(delay, -largest, largest))
+        late, slope = _interpolation(delay)
         shift = np.zeros(q)
-        shift[-len(LAGS) :] = _shares(at)
+        shift[-len(LAGS) :] = late
         change = np.eye(q)[:, : -len(LAGS)]
         change[self.delay, self.delay] = 0.0
-        change[-len(LAGS) :, self.delay] = (_shares(at + STEP) - _shares(at - STEP)) / (2 * STEP)
+        change[-len(LAGS) :, self.delay] = slope
         return self.rows.combined(change, shift)
+
+    def shifted_factor(self, coordinate: int, delay: float) -> FloatArray:
+        """Return the factor (w, p + r + 1) of one coordinate's rows [K y] after such a shift."""
+        factor = self.rows.factor(coordinate)
+        lags = np.arange(factor.shape[1] - 1 - len(LAGS), factor.shape[1] - 1)
+        late, slope = _interpolation(delay)
+        factor[:, -1] -= factor[:, lags] @ late
+        factor[:, self.delay] = factor[:, lags] @ slope
+        return np.delete(factor, lags, axis=1)
+
+
+def _interpolation(delay: float) -> tuple[FloatArray, FloatArray]:
+    """Return the shares (L,) of the lags at a delay, and their derivative; lags limit the delay."""
+    largest = LAGS[-1] - STEP
+    at = float(np.clip(delay, -largest, largest))
+    return _shares(at), (_shares(at + STEP) - _shares(at - STEP)) / (2 * STEP)
 
 
 def _shares(delay: float) -> FloatArray:

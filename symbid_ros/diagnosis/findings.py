@@ -67,6 +67,7 @@ class Kind(Enum):
     IMU_MOUNTING = "imu_mounting"
     ENCODER_OFFSET = "encoder_offset"
     DELAY = "delay"
+    EFFORT_DELAY = "effort_delay"
     TORQUE_SIGN = "torque_sign"
     TORQUE_GAIN = "torque_gain"
     EXCITATION = "excitation"
@@ -76,7 +77,7 @@ class Kind(Enum):
 OF_READINGS = (
     *(Kind.WRENCH_SIGN, Kind.WRENCH_FRAME, Kind.WRENCH_GAIN, Kind.IMU_MOUNTING, Kind.WEIGHT),
     *(Kind.CONTRADICTION, Kind.TORQUE_SIGN, Kind.TORQUE_GAIN, Kind.ENCODER_OFFSET, Kind.DELAY),
-    Kind.EXCITATION,
+    *(Kind.EFFORT_DELAY, Kind.EXCITATION),
 )
 
 

@@ -51,6 +51,9 @@ class GainProblem:
         quarter of the link's size. Checks of single joints use it.
     lagged : LaggedRows or None
         The same rows with the efforts of other instants; None if delays are small.
+    load_noise : (F, J) float64 or None
+        Mean square of the load on each joint in these rows by white noise of each wrench; None if
+        the wrenches have none.
     """
 
     rows: CoordinateRows
@@ -60,6 +63,7 @@ class GainProblem:
     links: int | None = None
     body_std: FloatArray | None = None
     lagged: LaggedRows | None = None
+    load_noise: FloatArray | None = None
 
     @classmethod
     def of(

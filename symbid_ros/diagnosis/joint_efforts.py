@@ -3,6 +3,7 @@
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.effort_lags import LAGS, LaggedRows
 from symbid_ros.diagnosis.gain_problem import (
     DELAY_STD,
     FLOOR,
@@ -20,6 +21,17 @@ from symbid_ros.diagnosis.gain_problem import (
 WIDE = 3.0
 # Ratios of readings to efforts that errors of the inertias may cause.
 PLAUSIBLE = 0.6, 1.6
+# Largest share of noise in the power of a load, apart from what inertias and friction explain, that
+# still tells a ratio.
+MOST_NOISE = 0.5
+# Identification is insensitive to smaller delays, s. A delay is certain at so many deviations, and
+# it must explain this share of the squares of a joint's residuals. Friction that is not modelled
+# explains a fifth of them on simulated arms; on public logs no delay is both.
+LARGEST_DELAY, CERTAIN, MOSTLY = 3e-3, 5.0, 0.5
+# A delay is known with this deviation, s.
+KNOWN = 2 * LARGEST_DELAY
+# Steps in which a delay is found, until one is this small, s.
+DELAY_STEPS, SMALL_STEP = 10, 5e-4
 # Number of variances at which the evidence is compared.
 VARIANCES = 60
 
@@ -30,7 +42,8 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
     The gains of `estimate_gains` multiply friction and noise in the readings as well, so a joint
     with more friction than load appears to have no gain. Here the readings are the load that the
     inertias imply times the ratio, plus friction, armature and offset of any size. Only the load
-    determines the ratio.
+    determines the ratio. White noise of the wrenches in the load would attenuate the ratio. Its
+    power is subtracted, and the deviation includes the size of this correction.
 
     Parameters
     ----------
@@ -52,19 +65,27 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
     if np.sqrt(float(load @ load) / rows.samples) <= LEAST * size or size == 0.0:
         return 1.0, GAIN_STD
     inertias, drives = _scaled_columns(problem, factor, size)
+    noise = rows.samples * _load_noise(problem, gains, index)
     ratio, left = 1.0, (LOAD_ERROR * size) ** 2
     for _ in range(2 * ITERATIONS):
         columns = np.column_stack([load, inertias * np.clip(abs(ratio), LEAST, 1 / LEAST), drives])
         weight = 1 / (UNMODELLED * (left + (FLOOR * size) ** 2))
         information = weight * columns.T @ columns + np.eye(columns.shape[1])
         information[0, 0] += LEAST**2 * weight * float(load @ load) - 1
+        # Noise in the load attenuates the ratio: its power is no information.
+        apparent = 1 / float(np.linalg.inv(information)[0, 0])
+        information[0, 0] -= min(weight * noise, MOST_NOISE * apparent)
         at = np.linalg.solve(information, weight * columns.T @ read)
         ratio = float(at[0])
         left = float(np.sum((read - columns @ at) ** 2)) / rows.samples
     # Friction near rest leaves residuals in which so small a load cannot be seen.
     if max(abs(ratio), 1.0) * np.sqrt(float(load @ load) / rows.samples) < SMALL_SHARE * size:
         return 1.0, GAIN_STD
-    std = float(np.sqrt(np.linalg.inv(information)[0, 0]))
+    attenuation = weight * noise / apparent
+    if attenuation > MOST_NOISE:
+        return 1.0, GAIN_STD
+    std = np.sqrt(apparent) * float(np.linalg.inv(information)[0, 0])
+    std = float(np.hypot(std, attenuation * ratio))
     if layout.wrench_frames or PLAUSIBLE[0] < ratio < PLAUSIBLE[1]:
         return _away_from_zero(ratio), std
     # Without measured forces an uncertain load attenuates the ratio. Likelihoods tell whether
@@ -89,22 +110,13 @@ def effort_delay_error(problem: GainProblem) -> float:
     Friction that lags behind the motion looks like a delay, but not like the same one at every
     joint. If one joint tells most, nothing shows that the others agree.
     """
-    rows, layout, p = problem.rows, problem.gains, len(problem.mean)
+    layout = problem.gains
     found = []
     for index in range(len(layout.driven)):
         factor, size = _rows_of(problem, index)
-        if size == 0.0:
-            continue
-        late = factor[:, p + layout.effort_delay] * DELAY_STD
-        target = factor[:, -1] - factor[:, :p] @ problem.mean
-        columns = np.column_stack([late, *_scaled_columns(problem, factor, size)])
-        left = (LOAD_ERROR * size) ** 2
-        for _ in range(2 * ITERATIONS):
-            weight = 1 / (UNMODELLED * (left + (LEAST * size) ** 2))
-            information = weight * columns.T @ columns + np.eye(columns.shape[1])
-            at = np.linalg.solve(information, weight * columns.T @ target)
-            left = float(np.sum((target - columns @ at) ** 2)) / rows.samples
-        found.append((DELAY_STD * at[0], DELAY_STD**2 * np.linalg.inv(information)[0, 0]))
+        if size > 0.0:
+            step, std, _ = _delay_in(problem, factor, size)
+            found.append((step, std**2))
     if len(found) < min(len(layout.driven), 2):  # the others rest
         return DELAY_STD
     delay, variance = np.array(found).T
@@ -114,13 +126,97 @@ def effort_delay_error(problem: GainProblem) -> float:
     return float(np.sqrt(1 / np.sum(1 / variance) + spread))
 
 
+def late_efforts(problem: GainProblem, common: float) -> dict[str, tuple[float, float]]:
+    """Return the driven joints whose efforts alone are late, each with its delay and deviation, s.
+
+    Friction that is not modelled looks like a delay too. It explains a small part of a joint's
+    residuals; a delay explains most of them. The delay of at least one other joint must be known.
+
+    Parameters
+    ----------
+    problem : GainProblem
+        With the efforts as they were read.
+    common : float
+        Delay of all efforts, s.
+    """
+    if problem.lagged is None:
+        return {}
+    late, usual = {}, False
+    for index, name in enumerate(problem.gains.joint_names):
+        delay, std, explained = _joint_delay(problem, problem.lagged, index, common)
+        apart = abs(delay - common)
+        if apart > max(CERTAIN * std, LARGEST_DELAY) and explained > MOSTLY:
+            late[name] = delay, std
+        else:
+            usual = usual or std < KNOWN
+    return late if usual else {}
+
+
+def _joint_delay(
+    problem: GainProblem, lagged: LaggedRows, index: int, start: float
+) -> tuple[float, float, float]:
+    """Return the delay of a joint's effort, its deviation, s, and the share of squares it explains.
+
+    Coulomb friction makes efforts jump, so the delay is found in steps from ``start``.
+    """
+    coordinate, delay = _coordinate(problem, index), start
+    _, size = _rows_of(problem, index)
+    if size == 0.0:
+        return start, DELAY_STD, 0.0
+    first = lagged.shifted_factor(coordinate, start)
+    _, _, before = _delay_in(problem, first, size, std=LEAST * DELAY_STD)
+    for _ in range(DELAY_STEPS):
+        factor = lagged.shifted_factor(coordinate, delay)
+        step, std, left = _delay_in(problem, factor, size)
+        delay = float(np.clip(delay + step, LAGS[0], LAGS[-1]))
+        if abs(step) < SMALL_STEP:
+            break
+    return delay, std, 1 - left / max(before, np.finfo(float).tiny)
+
+
+def _delay_in(
+    problem: GainProblem, factor: FloatArray, size: float, std: float = DELAY_STD
+) -> tuple[float, float, float]:
+    """Return the delay in rows of one joint, its deviation, s, and the mean square that remains.
+
+    ``std`` is the prior deviation of the delay, s.
+    """
+    p = len(problem.mean)
+    late = factor[:, p + problem.gains.effort_delay] * std
+    target = factor[:, -1] - factor[:, :p] @ problem.mean
+    columns = np.column_stack([late, *_scaled_columns(problem, factor, size)])
+    left = (LOAD_ERROR * size) ** 2
+    for _ in range(2 * ITERATIONS):
+        weight = 1 / (UNMODELLED * (left + (LEAST * size) ** 2))
+        information = weight * columns.T @ columns + np.eye(columns.shape[1])
+        at = np.linalg.solve(information, weight * columns.T @ target)
+        left = float(np.sum((target - columns @ at) ** 2)) / problem.rows.samples
+    deviation = std * float(np.sqrt(np.linalg.inv(information)[0, 0]))
+    return std * float(at[0]), deviation, left
+
+
+def _coordinate(problem: GainProblem, index: int) -> int:
+    """Return the coordinate of a driven joint."""
+    first = sum(name.startswith("base/") for name in problem.rows.coordinates)
+    return first + problem.gains.driven[index]
+
+
 def _rows_of(problem: GainProblem, index: int) -> tuple[FloatArray, float]:
     """Return the factor of a driven joint's rows, and its root mean square reading."""
     layout, rows = problem.gains, problem.rows
-    first = sum(name.startswith("base/") for name in rows.coordinates)
-    factor = rows.factor(first + layout.driven[index])
+    factor = rows.factor(_coordinate(problem, index))
     read = factor[:, len(problem.mean) + layout.efforts.start + index]
     return factor, float(np.sqrt(float(read @ read) / max(rows.samples, 1)))
+
+
+def _load_noise(problem: GainProblem, gains: GainEstimate, index: int) -> float:
+    """Return the mean square of a driven joint's load by white noise of the wrenches."""
+    layout = problem.gains
+    if problem.load_noise is None:
+        return 0.0
+    matrices = [gains.matrix(layout.wrench(place))[0] for place in range(len(layout.wrench_frames))]
+    scale = np.array([np.mean(np.sum(A**2, axis=1)) for A in matrices])
+    return float(scale @ problem.load_noise[:, layout.driven[index]])
 
 
 def _scaled_columns(
@@ -131,7 +227,8 @@ def _scaled_columns(
     drives = factor[:, links:p]
     norm = np.sqrt(np.sum(drives**2, axis=0) / problem.rows.samples)
     wide = drives[:, norm > 0] * (WIDE * size / norm[norm > 0])
-    return factor[:, :links] * problem.for_joints.std[:links], wide
+    inertias = factor[:, :links] * problem.for_joints.std[:links]
+    return inertias[:, np.any(inertias != 0, axis=0)], wide
 
 
 def log_likelihoods(

@@ -27,7 +27,7 @@ from symbid_ros.diagnosis.gains import (
     find_late_streams,
     fit_imu_rotation,
 )
-from symbid_ros.diagnosis.joint_efforts import effort_delay_error
+from symbid_ros.diagnosis.joint_efforts import LARGEST_DELAY, effort_delay_error, late_efforts
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stance_gyro_check import (
     DEVIATIONS,
@@ -39,9 +39,6 @@ from symbid_ros.diagnosis.stance_gyro_check import (
 from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.weak_form import INFLATION
-
-# Identification is insensitive to smaller delays, s.
-LARGEST_DELAY = 3e-3
 
 # Sensor resolution as a share of the load; smaller changes do not count as motion.
 RESOLUTION = 5e-3
@@ -348,7 +345,11 @@ def _check_delays(
         checks.figures |= {f"{frame}/delay_ms": 1e3 * delay, f"{frame}/delay_std_ms": 1e3 * std}
         if place in late:
             checks.findings += delay_finding(wrenches[frame], *late[place], "efforts and motion")
+    late_topics = {one.stream for one in checks.findings if one.kind is Kind.DELAY}
     _attribute_to_joints(checks, joints, {*imus, *wrenches.values()})
+    if late_topics <= {joints}:  # late wrenches or IMUs would make efforts look early
+        common = found if late_topics else 0.0
+        checks.findings += _late_joints(joints, late_efforts(statistics.problem, common))
 
 
 def _attribute_to_joints(checks: ModelChecks, joints: str, others: set[str]) -> None:
@@ -372,6 +373,28 @@ def _attribute_to_joints(checks: ModelChecks, joints: str, others: set[str]) -> 
     if replacing := list(delay_finding(joints, mean, std, "the other streams")):
         kept = [one for one in checks.findings if one.kind is not Kind.DELAY]
         checks.findings = kept + replacing
+
+
+def _late_joints(topic: str, late: Mapping[str, tuple[float, float]]) -> Iterator[Finding]:
+    """Yield the finding of joints whose efforts alone are late or early."""
+    if not late:
+        return
+    each = ", ".join(
+        f"{name} {1e3 * abs(delay):.1f} ± {1e3 * std:.1g} ms {'late' if delay > 0 else 'early'}"
+        for name, (delay, std) in late.items()
+    )
+    figures: dict[str, float] = {}
+    for name, (delay, std) in late.items():
+        figures |= {f"{name}/delay_ms": 1e3 * delay, f"{name}/delay_std_ms": 1e3 * std}
+    yield Finding(
+        Kind.EFFORT_DELAY,
+        topic,
+        Severity.WARNING,
+        f"{topic}: single efforts are not of the instant of the positions: {each}; remove the "
+        "delay or filter of these drives' readings, or give `sensor_errors` compliance if the "
+        "joints are elastic, which looks alike",
+        figures,
+    )
 
 
 def _check_excitation(

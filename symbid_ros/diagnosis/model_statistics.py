@@ -15,6 +15,8 @@ from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, GainRows
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
 from symbid_ros.diagnosis.unloaded_sensors import UnloadedSensors
 from symbid_ros.diagnosis.wrist_evidence import payload_evidence
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.estimation.prior import DEFAULT_PERCENT, Prior, model_prior
 from symbid_ros.estimation.prior_std import body_std
 from symbid_ros.estimation.row_layout import RowLayout
@@ -40,8 +42,11 @@ RATE, PASSED = 250.0, 0.2
 LEAST_LOAD, LEAST_SHARE = 0.1, 0.01
 # Friction that grows with the load would be taken for a gain, so it is not among the terms here.
 CHECKED_TERMS: tuple[Term, ...] = tuple(term for term in TERMS if term != "load")
-# Seconds between the samples that tell whether a wrench is that of a payload.
-PAYLOAD_PERIOD = 0.2
+# Seconds between the samples that tell whether a wrench is that of a payload, and between those of
+# the postures that tell how noise of wrenches loads the joints.
+PAYLOAD_PERIOD = POSTURE_PERIOD = 0.2
+# Variance of averages of white noise over a Hann window, times its number of samples.
+HANN = 1.5
 # Rows are built from all of the first blocks, and from ever fewer of the later ones.
 DENSE = 25
 
@@ -106,6 +111,9 @@ class ModelStatistics:
         self._force_square = np.zeros(len(wrench_frames))
         self._force_sum = np.zeros((len(wrench_frames), 3))
         self._noise_square = np.zeros((len(wrench_frames), 6))
+        # Squares of the joints' loads by noise of each wrench, for one sample per second.
+        self._load_noise = np.zeros((len(wrench_frames), len(model.joints)))
+        self._window = np.inf
 
     def add(self, segment: Segment) -> None:
         """Add a segment; segments must be cut at multiples of a block."""
@@ -122,11 +130,13 @@ class ModelStatistics:
         self._force_sum += force.sum(axis=0)
         noise = noise_deviation(segment.wrenches.reshape(len(segment), -1), segment.rate)
         self._noise_square += len(segment) * noise.reshape(-1, 6) ** 2
+        self._add_load_noise(segment, noise)
         segment = _downsample(segment)
         length = block_length(segment.rate)
         windows = suitable_windows(WINDOWS, segment.rate)[:1]
         if not windows:
             return
+        self._window = windows[0]
         for block in range(int(segment.stamp[0]) // length, int(segment.stamp[-1]) // length + 1):
             self._blocks += 1
             if not is_taken(self._blocks, DENSE):
@@ -135,6 +145,18 @@ class ModelStatistics:
                 for (rows,) in windowed_rows(part, self._build, windows, (), shortest=SHORTEST):
                     self._lagged.rows.fold(rows.mean)
                     self._row_sum += rows.mean.K[:, :, : len(self.prior.names)].sum(axis=0)
+
+    def _add_load_noise(self, segment: Segment, noise: FloatArray) -> None:
+        """Add the squares of the joints' loads by white noise (6 F,) of the wrenches."""
+        if not self.gains.wrench_frames:
+            return
+        stride = max(1, int(POSTURE_PERIOD * segment.rate))
+        poses = link_poses(self.model, self.model.apply_mimics(segment.position[::stride]))
+        jacobian = contact_jacobian(self.model, self.gains.wrench_frames, poses)
+        joints = jacobian[:, :, 6 * self.model.floating :]
+        squares = np.mean((joints * noise[:, None]) ** 2, axis=0)
+        of_sensors = squares.reshape(len(self.gains.wrench_frames), 6, -1).sum(axis=1)
+        self._load_noise += len(segment) / segment.rate * of_sensors
 
     @property
     def rows(self) -> CoordinateRows:
@@ -147,7 +169,8 @@ class ModelStatistics:
         problem = GainProblem.of(
             self.rows, self.parameters, self.prior.std, self.gains, self._body_std
         )
-        return replace(problem, lagged=self._lagged)
+        load_noise = HANN / self._window * self._load_noise / max(self._samples, 1)
+        return replace(problem, lagged=self._lagged, load_noise=load_noise)
 
     @property
     def _body_std(self) -> FloatArray:

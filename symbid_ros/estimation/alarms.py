@@ -111,13 +111,6 @@ def alarms(
             f"{Alarm.PRIOR}, which would have to be {posterior.prior_scale:.1f} "
             "times wider: the prior, the kinematics or a sensor's calibration is wrong"
         )
-    if is_coloured(whiteness, unexplained):
-        found.append(coloured_alarm(whiteness, unexplained))
-    if posterior.noise_share > SUSPICIOUS_NOISE:
-        found.append(
-            f"{100 * posterior.noise_share:.0f} % {Alarm.NOISY_MOTION} in the motion: "
-            "move more, or use longer windows"
-        )
     weighing = weighing_residual(posterior, measurements)
     if weighing is not None and weighing.is_contradiction:
         found.append(
@@ -125,6 +118,13 @@ def alarms(
             f"{Alarm.WEIGHING} {weighing.implied:.2f} ± {weighing.implied_std:.2g} kg "
             f"({abs(weighing.deviations):.0f} standard deviations): the weighing or a gain of the "
             "forces is wrong, or a support without a sensor carries weight"
+        )
+    if is_coloured(whiteness, unexplained):
+        found.append(coloured_alarm(whiteness, unexplained))
+    if posterior.noise_share > SUSPICIOUS_NOISE:
+        found.append(
+            f"{100 * posterior.noise_share:.0f} % {Alarm.NOISY_MOTION} in the motion: "
+            "move more, or use longer windows"
         )
     found += _contradicted_limits(posterior, value, rows)
     found += _large_offsets(posterior, sensors, value, parameters)

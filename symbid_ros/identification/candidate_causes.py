@@ -12,7 +12,9 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS
+from symbid_ros.dynamics.kinematics import link_poses, rotate
 from symbid_ros.dynamics.regressor import Rows, coulomb_column, friction_state, stribeck_column
+from symbid_ros.dynamics.upright import upward
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.warming import LEAST_WARMING
@@ -22,13 +24,15 @@ from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPo
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
 from symbid_ros.signals.segments import Segment, stamp_spans
 from symbid_ros.signals.sensor_errors import COMPLIANCE, SensorErrors
-from symbid_ros.signals.sensor_samples import SensorSamples
+from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import block_length, windowed_rows
 
 # Stretches of a log are dealt to this many groups, each predicted from the others. They last a
 # second, or twice the window if that is longer.
 GROUPS = 4
 SHORTEST, WINDOWS_EACH = 1.0, 2
+# Columns of a support without a sensor.
+SUPPORT = 4
 # Most blocks that are used, evenly spread over the log; the motion varies little beyond.
 MOST_BLOCKS = 40
 
@@ -196,7 +200,7 @@ class CandidateBuilder:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Kinds with one column for each joint."""
+        """Kinds with one column for each joint; a delay's also serve for all efforts together."""
         gain = () if self.errors is None else ("torque_gain",)
         warming = ("warming",) if self.span[1] - self.span[0] >= LEAST_WARMING else ()
         return (*self.terms, "quadratic", *warming, "delay", *gain)
@@ -213,12 +217,14 @@ class CandidateBuilder:
         is_driven = np.any(measured != 0, axis=0)
         effort = (measured - np.concatenate(residual)[:, first:]) * is_driven
         own = self._own_columns(readings, effort)
+        support = self._support_columns(readings)
         start = 0
         for part in parts:
             count, n, _ = part.rows.K.shape
             here = slice(start, start + count)
-            columns = np.zeros((count, n, own.shape[2]))
-            columns[:, first:] = own[here]
+            columns = np.zeros((count, n, SUPPORT + own.shape[2]))
+            columns[:, :first, :SUPPORT] = support[here]
+            columns[:, first:, SUPPORT:] = own[here]
             K = np.concatenate([part.rows.K, columns], axis=2)
             yield replace(part, rows=Rows(K, part.rows.y))
             start += count
@@ -247,6 +253,32 @@ class CandidateBuilder:
         }
         return np.stack([*(columns[kind] for kind in self.effects), np.abs(velocity)], axis=2)
 
+    def _support_columns(self, readings: SensorSamples) -> FloatArray:
+        """Return (N, 6, 4) the wrench of a constant vertical force; zero rows on a fixed base.
+
+        The columns are a force at the base's origin, its moment if it acts at the mean of the feet,
+        which rest in the world, and moments about horizontal axes, by which it acts beside them.
+        Without sensors at the feet they are zero.
+        """
+        model = self.parameters.model
+        columns = np.zeros((len(readings), 6 * model.floating, SUPPORT))
+        frames = [model.frame(name) for name in readings.wrench_frames]
+        if not model.floating or not frames:
+            return columns
+        samples = at_base(readings, model)
+        up = upward(samples)
+        poses = link_poses(model, samples.position)
+        feet = [
+            poses.position[:, one.link] + rotate(poses.rotation[:, one.link], one.translation)
+            for one in frames
+        ]
+        sideways = np.cross(up, [1.0, 0.0, 0.0])
+        columns[:, 3:, 0] = up
+        columns[:, :3, 1] = np.cross(np.mean(feet, axis=0), up)
+        columns[:, :3, 2] = sideways
+        columns[:, :3, 3] = np.cross(up, sideways)
+        return columns
+
     def _elapsed(self, stamp: IntArray) -> FloatArray:
         """Return the time (N,) since the middle of the log, as shares of the log."""
         first, last = self.span
@@ -259,13 +291,15 @@ class CandidateBuilder:
         first, joints = 6 * model.floating, model.joint_names
         found = []
         own = K.shape[2] - len(self.effects) - 1
+        found.append(Candidate("support", ("base",), K[:, :, own - SUPPORT : own]))
         for index, kind in enumerate(self.effects):
             column = K[:, :, own + index, None]
+            diagonal = np.eye(len(joints), model.dof, first).T
+            single = kind
             if kind == "delay":
                 found.append(Candidate(kind, ("efforts",), column))
-            else:
-                diagonal = np.eye(len(joints), model.dof, first).T
-                found.append(Candidate(kind, joints, column * diagonal))
+                single = "effort_delay"
+            found.append(Candidate(single, joints, column * diagonal))
         if self.errors is not None:
             for kind, place in self.errors.places.items():
                 owners = tuple(name.rpartition("/")[0] for name in self.errors.names[place])

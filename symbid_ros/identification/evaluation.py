@@ -140,9 +140,9 @@ def true_motion(
 
 
 def check_true_robot(robot: RobotModel, motion: TrueMotion) -> None:
-    """Log a warning if a robot is not the one whose motion and forces were simulated.
+    """Log a warning if a robot is not the one whose motion and forces were simulated, exactly.
 
-    The true robot's residuals are the noise of the force sensors, which is white. Residuals that
+    The true robot's residuals are the noise of the wrench sensors, which is white. Residuals that
     are correlated from sample to sample come from another model, a payload or sensor errors.
     """
     parameters = ParameterSet(robot)
@@ -157,12 +157,13 @@ def check_true_robot(robot: RobotModel, motion: TrueMotion) -> None:
         squares += np.sum(residual**2, axis=0)
         products += np.sum(residual[1:] * residual[:-1], axis=0)
         sizes += np.sum(rows.y**2, axis=0)
-    shares = []
+    shares, noise = [], []
     # The forces on a base exceed those of the joints many times over.
     for rows_of in (slice(None), slice(first_joint, None)):
         square, product, size = (one[rows_of].sum() for one in (squares, products, sizes))
         if product * np.sqrt(len(motion.samples)) > SIGNIFICANT * square:
             shares.append(np.sqrt(product / size))
+        noise.append(np.sqrt(square / max(size, np.finfo(float).tiny)))
     if max(shares, default=0.0) > UNEXPLAINED:
         logger.warning(
             "%s leaves %.2g %% of the bag's forces unexplained, so it is not the true robot, or "
@@ -170,6 +171,13 @@ def check_true_robot(robot: RobotModel, motion: TrueMotion) -> None:
             "--true-model` writes it) and a bag of `symbid simulate --ideal`",
             robot.source,
             100 * max(shares),
+        )
+    elif max(noise) > UNEXPLAINED:
+        logger.warning(
+            "the wrenches of the bag are noisy, by %.2g %% of the forces; errors and intervals of "
+            "forces and torques contain this noise: give a bag of `symbid simulate --ideal`, and "
+            "noisy ones as `realistic`",
+            100 * max(noise),
         )
 
 

@@ -38,6 +38,10 @@ WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of
 WRONG_EFFORTS = (
     "the factors of the efforts that another alarm names may explain it; correct these first"
 )
+WRONG_WEIGHING = (
+    "the weighing, which contradicts the data according to another alarm, may explain it; settle "
+    "that first"
+)
 FROZEN = "a joint at rest that another alarm names may explain it; check that first"
 DELAY_ALARM = "the delay that another alarm names"
 WRONG_READINGS = (
@@ -55,6 +59,7 @@ EFFECTS = {
     "presliding": "friction that lags behind a reversal",
     "stiffness": "springs at joints",
     "delay": "a delay",
+    "effort_delay": "delays of single efforts",
     "torque_gain": "gains of the efforts",
     "encoder_offset": "encoder offsets",
     "compliance": "elasticity",
@@ -67,9 +72,17 @@ EFFECTS = {
     "plate_offset": "offsets of the wrench sensors",
     "plate_gain": "gains of the wrench sensors",
     "plate_pose": "positions of the wrench sensors",
+    "support": "a support without a sensor, such as a cable",
     "typical": "several sensor errors together",
 }
 SEVERAL = "typical"
+# What to do about causes that are neither joint terms nor sensor errors.
+ADVICE = {
+    "delay": "give `sensor_errors` sensor_delay, or correct the stamps of one of them",
+    "effort_delay": "remove the delay or filter of these drives' readings",
+    "support": "remove it, or record its force as a wrench",
+    "warming": WARM,
+}
 
 
 @dataclass(frozen=True)
@@ -102,9 +115,7 @@ class Cause:
             return "give a `tare`, or `sensor_errors` plate_offset"
         if self.kind in SENSOR_ERROR_KINDS or self.kind == SEVERAL:
             return f"give `sensor_errors` {self.kind}"
-        if self.kind == "delay":
-            return "give `sensor_errors` sensor_delay, or correct the stamps of one of them"
-        return WARM if self.kind == "warming" else NO_OPTION
+        return ADVICE.get(self.kind, NO_OPTION)
 
 
 def explained(
@@ -161,10 +172,13 @@ def _with_tried_causes(
         return _with_cause(found, "", disturbance.sentence, is_first=True)
     if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
         return _with_cause(found, "", WRONG_EFFORTS)
+    if any(Alarm.WEIGHING in alarm for alarm in verdict.alarms):
+        return _with_cause(found, "", WRONG_WEIGHING)
     if rows is None:
         when, sentence = "", "the log is too short to try likely causes; record longer"
     else:
-        is_late = any(one.kind is Kind.DELAY for one in problem.checks.findings)
+        late = {Kind.DELAY, Kind.EFFORT_DELAY}
+        is_late = any(one.kind in late for one in problem.checks.findings)
         sentence = _explanation(rows, worst, DELAY_ALARM if is_late else "")
         when = _when(rows, worst.coordinate)
     return _with_cause(found, when, sentence)
@@ -200,7 +214,7 @@ def _explanation(rows: CandidateRows, worst: UnexplainedForce, delay: str = "") 
     likely = "likely cause" if cause.gain > MOSTLY else "a part of it"
     left = force_text(worst.size * cause.remains, worst.unit)
     what = f"{EFFECTS[cause.kind]}{cause.detail}"
-    if cause.kind == "delay" and delay:
+    if cause.kind in ("delay", "effort_delay") and delay:
         what = delay
     return f"{likely}: {what}, which would leave {left}; {cause.advice}"
 
@@ -220,10 +234,12 @@ def best_cause(rows: CandidateRows, coordinate: str) -> Cause | None:
     if not singles:
         return None
     best = max(singles.values(), key=lambda cause: cause.gain)
+    if best.kind == "effort_delay" and _is_similar(singles["delay"], best):
+        best = singles["delay"]
     of_sensors = [one for one in rows.candidates if one.kind in TYPICAL_ERRORS]
     if len(of_sensors) > 1:
         together = tried(SEVERAL, *of_sensors)
-        if 1 - together.gain < MOSTLY * (1 - best.gain):
+        if not _is_similar(best, together):
             best = together
     if best.gain < LEAST_GAIN:
         return None
@@ -232,6 +248,11 @@ def best_cause(rows: CandidateRows, coordinate: str) -> Cause | None:
         return replace(best, detail=f", above all {EFFECTS[largest.kind]}")
     (one,) = (one for one in rows.candidates if one.kind == best.kind)
     return replace(best, detail=_detail(one, tests.coefficients(one)))
+
+
+def _is_similar(one: Cause, wider: Cause) -> bool:
+    """Return whether a wider cause leaves more than half of what another one leaves."""
+    return 1 - wider.gain >= MOSTLY * (1 - one.gain)
 
 
 def _when(rows: CandidateRows, coordinate: str) -> str:
@@ -265,9 +286,14 @@ def _detail(cause: Candidate, values: FloatArray) -> str:
     if cause.kind == "delay":
         late = "efforts" if values[0] < 0 else "positions"
         return f" of the {late} by {1e3 * abs(values[0]):.2g} ms"
+    if cause.kind == "support":
+        return f", of some {force_text(abs(float(values[1])), 'N')}"
     size = np.abs(values) * np.sqrt(np.mean(cause.columns**2, axis=(0, 1)))
     largest = int(np.argmax(size))
     owner, value = cause.owners[largest], float(values[largest])
+    if cause.kind == "effort_delay":
+        late = "late" if value < 0 else "early"
+        return f", {1e3 * abs(value):.2g} ms {late} at {owner}"
     if cause.kind == "torque_gain":
         return f", {100 * value:+.2g} % at {owner}"
     if cause.kind == "encoder_offset":

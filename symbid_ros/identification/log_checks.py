@@ -32,6 +32,7 @@ BIASING = frozenset(
         Kind.IMU_MOUNTING,
         Kind.ENCODER_OFFSET,
         Kind.DELAY,
+        Kind.EFFORT_DELAY,
         Kind.TORQUE_GAIN,
         Kind.WRENCH_GAIN,
         Kind.WRENCH_OFFSET,

@@ -226,6 +226,20 @@ def test_efforts_are_late_if_those_of_several_joints_are(ur5, moving, samples) -
         assert finding.figures["delay_ms"] == pytest.approx(samples * period, rel=0.03)
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.05])
+@pytest.mark.parametrize(("joint", "samples"), [(1, 2), (2, 6), (1, -4)])
+def test_a_single_late_effort_is_named(ur5, friction, joint, samples) -> None:
+    streams = arm_streams(ur5, SECONDS, 1, friction=friction)
+    effort = streams.joints.effort.copy()
+    effort[:, joint] = np.roll(effort[:, joint], samples)  # the arm rests at both ends
+    diagnosis = judged(ur5, replace(streams, joints=replace(streams.joints, effort=effort)))
+    (finding,) = diagnosis.findings
+    assert (finding.kind, finding.severity) == (Kind.EFFORT_DELAY, Severity.WARNING)
+    name, period = ur5.joint_names[joint], np.diff(streams.joints.stamp)[0] * 1e-6
+    assert set(finding.figures) == {f"{name}/delay_ms", f"{name}/delay_std_ms"}
+    assert finding.figures[f"{name}/delay_ms"] == pytest.approx(samples * period, abs=1)
+
+
 @pytest.mark.parametrize("moving", [0, 2])
 def test_drives_at_rest_have_no_gain(ur5, moving) -> None:
     """Dry friction carries a part of their load, and what remains of it depends on chance."""

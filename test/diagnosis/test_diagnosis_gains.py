@@ -1,10 +1,18 @@
 """Gains and delays against dense least squares."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.diagnosis.gain_problem import GainEstimate, GainProblem, loads
+from symbid_ros.diagnosis.gain_problem import (
+    GAIN_STD,
+    GainEstimate,
+    GainProblem,
+    estimate_of,
+    loads,
+)
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout
 from symbid_ros.diagnosis.gains import (
     estimate_delays,
@@ -12,6 +20,7 @@ from symbid_ros.diagnosis.gains import (
     find_late_streams,
     fit_imu_rotation,
 )
+from symbid_ros.diagnosis.joint_efforts import effort_scale
 from symbid_ros.dynamics.regressor import Rows
 
 LAYOUT = GainLayout(("left",), ("imu",), (0, 1), ("hip", "knee"))
@@ -78,6 +87,34 @@ def test_gains_are_found_and_imus_are_trusted():
     theta[LAYOUT.imu(0)] = 0.3
     pinned = estimate_gains(problem(theta=theta)[0])
     np.testing.assert_allclose(pinned.mean[LAYOUT.imu(0)], 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.5, -1.0])
+def test_noise_of_wrenches_does_not_attenuate_the_efforts_of_a_joint(gain):
+    """The load on a joint is the measured force times its lever, noise included."""
+    rng = np.random.default_rng(3)
+    count, p, noise = 4000, 4, 0.5
+    K = np.zeros((count, len(NAMES), p + len(LAYOUT)))
+    K[:, :, :p] = rng.normal(size=(count, len(NAMES), p))
+    load, mean = rng.normal(size=count), np.full(p, 1.5)
+    y = K[:, :, :p] @ mean
+    effort = (y[:, 4] - load) / gain
+    K[:, 4, p + LAYOUT.efforts.start] = -effort
+    y[:, 4] = load + noise * rng.normal(size=count) + effort
+    rows = CoordinateRows(NAMES, UNITS, np.ones((len(NAMES), p + len(LAYOUT)), dtype=bool))
+    rows.fold(Rows(K, y))
+    given = GainProblem(rows, mean, np.full(p, 1e-6), LAYOUT)
+    deviation = np.zeros((p + len(LAYOUT), 1))
+    gains = estimate_of(given, given.expected, deviation, np.zeros(len(NAMES)))
+    attenuated, _ = effort_scale(given, gains, 0)
+    known = replace(given, load_noise=np.array([[noise**2, 0.0]]))
+    ratio, std = effort_scale(known, gains, 0)
+    assert ratio == pytest.approx(1 / gain, rel=0.02)
+    assert abs(attenuated) < abs(ratio) - 2 * std / 3
+    assert std > abs(ratio - attenuated)
+    # Of a load that is mostly noise nothing is known.
+    hidden = replace(given, load_noise=np.array([[load.var() + y.var(), 0.0]]))
+    assert effort_scale(hidden, gains, 0) == (1.0, GAIN_STD)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
+from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments, fit_gyro
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
@@ -59,6 +60,32 @@ def test_nothing_is_found_though_drives_rub(judged) -> None:
     assert [one.message for one in diagnosis.findings] == []
     assert diagnosis.left_out == ()
     assert diagnosis.figures["/imu/angle_deg"] < 1
+
+
+def test_the_noise_of_loads_follows_from_that_of_the_feet(log, model, tmp_path) -> None:
+    """Of two logs that differ in white noise of the forces, the averaged rows differ as much."""
+
+    def statistics(noise: float) -> ModelStatistics:
+        noisy = copy.deepcopy(log)
+        rng = np.random.default_rng(4)
+        for topic in (f"/{foot}/wrench" for foot in FEET):
+            wrench = noisy[topic]["wrench"]
+            wrench[:, :3] += noise * rng.standard_normal((len(wrench), 3))
+        bag = record_log(noisy, model, tmp_path / f"bag{noise:g}")
+        found = None
+        for segment in align_checked(read_streams([bag]), model):
+            if found is None:
+                found = ModelStatistics(model, segment.wrench_frames, segment.imu_frames)
+            found.add(segment)
+        assert found is not None
+        return found
+
+    (few, before), (many, after) = (
+        (one.rows.residual_squares(one.problem.expected)[6:], one.problem.load_noise.sum(axis=0))
+        for one in (statistics(0.0), statistics(200.0))
+    )
+    np.testing.assert_allclose(after - before, many - few, rtol=0.5)
+    assert np.sum(after - before) == pytest.approx(np.sum(many - few), rel=0.1)
 
 
 def test_nothing_is_found_at_a_low_rate(judged) -> None:

@@ -6,9 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from drive_logs import SECONDS, arm, drives, log_of
+from quadruped_log import FEET, quadruped_urdf, standing_log
+from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Finding, Kind
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.log_checks import LogChecks
@@ -33,6 +37,12 @@ class Fault:
 
 def late(time, position, effort):
     return position, np.stack([np.interp(time - DELAY, time, one) for one in effort.T], axis=1)
+
+
+def one_late(time, position, effort):
+    effort = effort.copy()
+    effort[:, JOINT] = np.interp(time - DELAY, time, effort[:, JOINT])
+    return position, effort
 
 
 def with_gain(_, position, effort):
@@ -82,6 +92,9 @@ def identify(robot, fault):
 
 FAULTS = {
     "delay": Fault(r"a delay of the efforts by (\S+) ms", 1e3 * DELAY, late),
+    "single delay": Fault(
+        r"delays of single efforts, (\S+) ms late at joint_2", 1e3 * DELAY, one_late
+    ),
     "gain": Fault(
         r"gains of the efforts, (\S+) % at joint_2",
         100 * (GAIN - 1),
@@ -241,3 +254,64 @@ def test_a_low_rate_is_named_if_nothing_else_explains_the_residuals(robot, strid
     alarms = sy.identify(robot, log, no_holdout=True, unchecked=True).alarms
     (alarm,) = (one for one in alarms if "none of these explains it" in one)
     assert ("the rate of 40 Hz may be too low for the motion" in alarm) == (stride == 5)
+
+
+@pytest.fixture(scope="module")
+def quadruped(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "quadruped.urdf"
+    path.write_text(quadruped_urdf())
+    return sy.load_model(path)
+
+
+@pytest.fixture(scope="module")
+def standing(quadruped):
+    return standing_log(quadruped, 12.0, 3, friction=0.0)
+
+
+def identify_standing(quadruped, standing, *, effort=0.0, wrenches=None, **options):
+    """Return the alarms of a log to whose efforts and wrenches something is added."""
+    joints, imu = standing["/joint_states"], standing["/imu"]
+    log = sy.Log.from_arrays(
+        quadruped,
+        time=joints["time"],
+        position=joints["position"],
+        effort=joints["effort"] + effort,
+        imus={"imu_link": np.hstack([imu["angular_velocity"] - 0.01, imu["linear_acceleration"]])},
+        wrenches={
+            foot: standing[f"/{foot}/wrench"]["wrench"] + added
+            for foot, added in zip(FEET, wrenches or np.zeros(len(FEET)), strict=True)
+        },
+    )
+    fixed = {"no_holdout": True, "unchecked": True, "joint_terms": ("none",)}
+    return sy.identify(quadruped, log, **fixed | options).alarms
+
+
+def test_a_weighing_that_contradicts_the_data_is_the_cause_of_the_other_alarms(quadruped, standing):
+    mass = float(quadruped.phi[:, 0].sum())
+    weighed = {"total_mass_std": 0.01, "prior_percent": 10.0}
+    assert identify_standing(quadruped, standing, total_mass=mass, **weighed) == ()
+    first, second = identify_standing(quadruped, standing, total_mass=1.05 * mass, **weighed)
+    assert "the weighing of" in first
+    assert "the residuals are not white noise" in second
+    assert "the weighing, which contradicts the data according to another alarm" in second
+
+
+def test_a_support_without_a_sensor_is_a_likely_cause(quadruped, standing):
+    """Its force is constant in the world, at the middle of the feet, which it relieves equally."""
+    lift = 60.0  # N
+    position = standing["/joint_states"]["position"]
+    poses = link_poses(quadruped, position)
+    jacobian = contact_jacobian(quadruped, FEET, poses).reshape(len(position), len(FEET), 6, -1)
+    above = Rotation.from_quat(standing["/imu"]["orientation"]).inv().apply([0.0, 0.0, 1.0])
+    above = above @ quadruped.frame("imu_link").rotation.T
+    effort, wrenches = np.zeros_like(position), []
+    for index, foot in enumerate(FEET):
+        frame = quadruped.frame(foot)
+        rotation = poses.rotation[:, frame.link] @ frame.rotation
+        relief = lift / len(FEET) * np.einsum("nji,nj->ni", rotation, above)
+        effort += np.einsum("nij,ni->nj", jacobian[:, index, 3:, 6:], relief)
+        wrenches.append(np.hstack([-relief, np.zeros_like(relief)]))
+    (alarm,) = identify_standing(quadruped, standing, effort=effort, wrenches=wrenches)
+    found = re.search(r"a support without a sensor, such as a cable, of some (\S+) N", alarm)
+    assert found is not None, alarm
+    assert float(found[1]) == pytest.approx(lift, rel=0.2)
