@@ -161,13 +161,13 @@ def _with_readings(diagnosis: Diagnosis, readings: JointReadings) -> Diagnosis:
     """Return a diagnosis with wrong readings of joints."""
     (topic, *_) = (one.topic for one in diagnosis.streams)
     finding = readings.finding(topic)
-    if not readings.are_positions_right:
-        return diagnosis.with_readings(finding)
     # Gains, if known, show signs of efforts together with their units.
     found = [one for one in diagnosis.findings if one.kind is Kind.TORQUE_SIGN]
     signs = {name.removesuffix("/gain") for one in found for name in one.figures}
-    is_said = signs.issuperset(readings.reversed_efforts)
-    return diagnosis if is_said else diagnosis.with_finding(finding)
+    if readings.are_positions_right and signs.issuperset(readings.reversed_efforts):
+        return diagnosis
+    depends = not readings.are_positions_right or readings.are_all_efforts_reversed
+    return diagnosis.with_readings(finding) if depends else diagnosis.with_finding(finding)
 
 
 @on_one_blas_thread
