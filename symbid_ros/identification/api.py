@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from symbid_ros.arrays import FloatArray
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.diagnosis import doctor
-from symbid_ros.diagnosis.findings import Diagnosis, Kind
+from symbid_ros.diagnosis.findings import Diagnosis, Kind, has_unsigned_efforts
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
@@ -147,11 +147,13 @@ def diagnose(
         return replace(of_streams, left_out=(left_out,)).with_finding(
             degrees.finding(of_streams.streams[0].topic)
         )
+    diagnosis = doctor.diagnose(log, robot)
+    if robot.floating or has_unsigned_efforts(diagnosis.findings):
+        return diagnosis
     if searches_gravity(options, robot):
         found = find_gravity(segments, robot)
     if found is None:
-        diagnosis = doctor.diagnose(log, robot)
-        readings = None if robot.floating else find_readings(segments, robot)
+        readings = find_readings(segments, robot)
         return diagnosis if readings is None else _with_readings(diagnosis, readings)
     diagnosis = doctor.diagnose(log, robot.with_gravity(found.direction))
     return diagnosis.with_finding(found.finding(robot.source))

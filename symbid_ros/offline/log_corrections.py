@@ -13,7 +13,7 @@ from statistics import median
 from symbid_ros.arrays import concatenated
 from symbid_ros.bags import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
-from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, has_unsigned_efforts
 from symbid_ros.diagnosis.forces import EXPLAINED, GAINS, MILLI, common_unit, may_be_in_milli
 from symbid_ros.diagnosis.joint_checks import DEGREES
 from symbid_ros.diagnosis.stream_checks import StreamChecks
@@ -75,10 +75,12 @@ class LogCorrections:
         """Look for all of them, each with those before it in effect."""
         self._name_wrist_sensors()
         self._convert_degrees()
-        self._correct_joints_and_gravity()
-        self._correct_signs_and_units()
-        if self._reverse_single_efforts():
+        self.setup.diagnosis = self._diagnosed()
+        if not has_unsigned_efforts(self.setup.diagnosis.findings):
+            self._correct_joints_and_gravity()
             self._correct_signs_and_units()
+            if self._reverse_single_efforts():
+                self._correct_signs_and_units()
         self._note_findings()
 
     def _log(self, robot: RobotModel) -> Log:

@@ -503,6 +503,17 @@ def test_reversed_joints_are_found_rather_than_scales(tmp_path, joint, is_axis) 
     assert ("effort_scale" in finding.message) == is_axis
 
 
+@pytest.mark.parametrize(("sign", "never"), [(1.0, "negative"), (-1.0, "positive")])
+def test_no_sign_or_factor_is_written_for_magnitudes(tmp_path, sign, never) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 20.0, 5).joints
+    sizes = replace(read, effort=sign * np.abs(read.effort))
+    bag = joints_only(tmp_path / "bag", *arm_messages(sizes, arm.joint_names))
+    setup = inspect_robot(ur5_urdf(), [bag], "fixed")
+    assert not {"effort_scale", "drive_gain", "flip_joint", "gravity"} & set(setup.options)
+    assert any(f"never {never}" in line for line in setup.comments[""])
+
+
 @given(st.permutations(ARM), st.sampled_from(["robot1_", "left/", ""]))
 def test_matching_is_one_to_one_and_independent_of_order(names: list[str], prefix: str) -> None:
     found, guessed = match_names([f"{prefix}{name}" for name in names], ARM)
