@@ -33,13 +33,14 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import chosen_options
 from symbid_ros.signals.given_arrays import number_array
-from symbid_ros.signals.log import Log, require_log
+from symbid_ros.signals.joined_log import as_one_log
+from symbid_ros.signals.log import Log
 
 
 @on_one_blas_thread
 def identify(
     robot: RobotModel | str | Path,
-    log: Log | LogInformation,
+    log: Log | Sequence[Log] | LogInformation,
     options: IdentifyOptions | None = None,
     **fields: Any,
 ) -> Result:
@@ -49,8 +50,9 @@ def identify(
     ----------
     robot : RobotModel, str or Path
         A robot, or its URDF or MJCF. Its kinematics are used, and its inertias as prior means.
-    log : Log or LogInformation
-        Measurements, or the information of earlier logs (see :func:`merge`).
+    log : Log, sequence of Log, or LogInformation
+        Measurements, those of several recordings in the order of time, or the information of
+        earlier logs (see :func:`merge`).
     options : IdentifyOptions, optional
         Options of the identification.
     **fields
@@ -79,7 +81,7 @@ def identify(
     """
     options = chosen_options(IdentifyOptions, options, fields)
     robot = as_model(robot)
-    require_log(log, LogInformation)
+    log = as_one_log(log, LogInformation)
     if isinstance(log, LogInformation):
         problem = load_information(robot, log.observations, options)
         found = problem.with_provenance(problem.solve())
@@ -94,7 +96,7 @@ def identify(
 @on_one_blas_thread
 def diagnose(
     robot: RobotModel | str | Path | None,
-    log: Log,
+    log: Log | Sequence[Log],
     options: RobotOptions | None = None,
     **fields: Any,
 ) -> Diagnosis:
@@ -105,7 +107,8 @@ def diagnose(
     robot : RobotModel, str, Path or None
         The nominal robot or its file, with inertias within about 25 %; None checks each topic by
         itself.
-    log : Log
+    log : Log or sequence of Log
+        Of several recordings in the order of time.
     options : RobotOptions, optional
         Mounting, wrist sensors and contacts, as of an identification.
     **fields
@@ -130,7 +133,7 @@ def diagnose(
     """
     options = chosen_options(RobotOptions, options, fields)
     robot = None if robot is None else as_model(robot)
-    require_log(log)
+    log = as_one_log(log)
     if robot is None:
         return doctor.diagnose(log)
     log = log.of_robot(robot)

@@ -32,6 +32,7 @@ from symbid_ros.identification.force_errors import (
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result import Result
 from symbid_ros.json_documents import versioned
+from symbid_ros.signals.joined_log import as_one_log
 from symbid_ros.signals.log import Log, require_log
 from symbid_ros.signals.segments import Segment
 
@@ -293,15 +294,17 @@ class Validation:
 
 
 @on_one_blas_thread
-def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = ()) -> Validation:
+def validate(
+    result: Result | str | Path, log: Log | Sequence[Log], *, payload: Sequence[str] = ()
+) -> Validation:
     """Compare what an identified robot predicts for a log with what was measured.
 
     Parameters
     ----------
     result : Result, str or Path
         A result, or the folder of a saved one.
-    log : Log
-        Measurements that the identification did not use.
+    log : Log or sequence of Log
+        Measurements that the identification did not use, also of several recordings.
     payload : sequence of str
         Payloads that the robot carries in it: ``LINK,MASS,X,Y,Z``, or ``LINK,MASS`` if the result
         has identified the place.
@@ -319,6 +322,7 @@ def validate(result: Result | str | Path, log: Log, *, payload: Sequence[str] = 
     EstimateError
         When a file of the result is missing or invalid.
     """
+    log = as_one_log(log)
     predictor = predictor_of(result, log, payload)
     return validate_segments(predictor, AlignedLog(log, predictor.parameters.model), log.source)
 
