@@ -31,8 +31,8 @@ from threadpoolctl import threadpool_limits
 from symbid_ros.estimation.directions import DETERMINED, determined_directions
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.prior_file import load_prior
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.solver import Identification
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.simulation.systematic_errors import TYPICAL

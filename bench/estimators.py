@@ -37,10 +37,10 @@ from symbid_ros.estimation.directions import DETERMINED, determined_directions
 from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.identification.evaluation import TrueMotion, evaluate
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.intervals import HALF_WIDTH, summarise_intervals
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.tares import read_tare
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -254,7 +254,7 @@ def with_poses(bag: Path, seed: int) -> Log:
 
 def unknowns(loaded: LoadedProblem, errors: str) -> Unknowns:
     """Return the unknowns, prior and noise of a log with these simulated errors."""
-    problem = loaded.solver.problem
+    problem = loaded.solved.problem
     noise = load_noise(config_file("noise.yaml"))
     drawn = parse_errors(errors)
     if "sample_rates" in drawn:

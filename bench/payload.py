@@ -170,7 +170,7 @@ def _snapshots(
         due = recording.start + 1_000_000_000
         names = {topic.name for topic in selected.all}
         for message in recording.messages(names, recording.start, recording.end + 1):
-            live.feed(topics[message.topic], message.payload)
+            live.intake.feed(topics[message.topic], message.payload)
             if message.log_time >= due:
                 due += 1_000_000_000
                 outcome = live.solve()

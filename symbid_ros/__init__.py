@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from symbid_ros.identification.result import LogInformation as LogInformation
     from symbid_ros.identification.result import ParameterEstimate as ParameterEstimate
     from symbid_ros.identification.result import Result as Result
-    from symbid_ros.identification.validation import Validation as Validation
     from symbid_ros.identification.validation import validate as validate
+    from symbid_ros.identification.validation_result import Validation as Validation
     from symbid_ros.messages.log_options import LogOptions as LogOptions
     from symbid_ros.model.load import load_model as load_model
     from symbid_ros.model.tree import RobotModel as RobotModel
@@ -72,7 +72,7 @@ _MODULES = {
     "Result": "identification.result",
     "RobotModel": "model.tree",
     "SymbidError": "errors",
-    "Validation": "identification.validation",
+    "Validation": "identification.validation_result",
     "diagnose": "identification.api",
     "evaluate": "offline.bags",
     "identify": "identification.api",

@@ -57,7 +57,7 @@ LONGEST = (
     "test_cli_identify.py",
     "test_examples.py",
     "test_ros_identifier.py",
-    "test_identification_solver.py",
+    "test_identification_solved_problem.py",
     "test_simulation_balance.py",
     "test_diagnosis_clean.py",
     "test_cli_rehearsal.py",

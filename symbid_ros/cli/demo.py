@@ -20,8 +20,8 @@ from symbid_ros.simulation.options import SimulateOptions
 
 if TYPE_CHECKING:
     from symbid_ros.estimation.estimate import Estimate
+    from symbid_ros.identification.identification import Identification
     from symbid_ros.identification.loaded_problem import LoadedProblem
-    from symbid_ros.identification.solver import Identification
 
 
 def demo(
@@ -316,7 +316,7 @@ def _truncations(prepared: "LoadedProblem", validation: Path) -> "dict[tuple[str
 
     # Only rows of the chosen window are needed.
     log = bag_log([validation], prepared.parameters.model)
-    only = Processing(windows=(prepared.solver.chosen.window,))
+    only = Processing(windows=(prepared.solved.chosen.window,))
     validated = replace(prepared, validation=read_dataset(log, prepared.parameters, only))
     return {
         (METHOD_TITLES[method], chosen_by): source.solve(method).estimate

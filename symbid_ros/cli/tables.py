@@ -19,7 +19,7 @@ from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.identification.comparison import Comparison
 from symbid_ros.identification.error_changes import describe_files, percent
 from symbid_ros.identification.force_errors import ForceError
-from symbid_ros.identification.validation import Validation
+from symbid_ros.identification.validation_result import Validation
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.options import spelled
 from symbid_ros.report.content import METRICS, REALISTIC_METRICS, MethodResult, best_labels

@@ -26,9 +26,10 @@ from symbid_ros.estimation.archive import pack_observations, unpack_observations
 from symbid_ros.estimation.group_moments import Grouping
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.provenance import digest, list_inputs
+from symbid_ros.identification.aligned_log import SPAN, AlignedLog
 from symbid_ros.identification.assumed_contacts import assumed_contacts
 from symbid_ros.identification.contacts import with_robot_options
-from symbid_ros.identification.dataset import SPAN, AlignedLog, Processing, fold_dataset
+from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.log_checks import check_dataset
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.messages.log_options import LogOptions
@@ -42,8 +43,6 @@ from symbid_ros.package_paths import PACKAGE, package_version
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment, cut_to
 from symbid_ros.signals.streams import Slice, TimeRange
-
-Arrays = dict[str, NDArray[Any]]
 
 FIRST_SECOND = TimeRange(0.0, 1.0)
 # A part without rows: shorter than a window, or in a gap of the log.

@@ -10,13 +10,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.effort_findings import NO_CONVERSIONS, SignConversions
 from symbid_ros.diagnosis.encoder_offsets import estimate_offsets, offset_findings
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.forces import (
     MAX_ROTATION_COST,
     MIN_EVIDENCE,
-    NO_CONVERSIONS,
-    SignConversions,
     check_forces,
     reversed_imu_finding,
     rotated_imu_finding,

@@ -14,9 +14,9 @@ from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, GainRows
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
 from symbid_ros.diagnosis.unloaded_sensors import UnloadedSensors
 from symbid_ros.diagnosis.wrist_evidence import payload_evidence
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import DEFAULT_PERCENT, Prior, model_prior
 from symbid_ros.estimation.prior_std import body_std
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.decimation import Decimator
@@ -24,12 +24,7 @@ from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment, cut_to
 from symbid_ros.signals.sensor_noise import noise_deviation
 from symbid_ros.signals.sensor_samples import probed
-from symbid_ros.signals.weak_form import (
-    ALL_WINDOWS,
-    block_length,
-    suitable_windows,
-    windowed_rows,
-)
+from symbid_ros.signals.weak_form import ALL_WINDOWS, block_length, suitable_windows, windowed_rows
 
 # The first that suits the rate is used. It is long enough to average out vibration and short enough
 # for short logs.

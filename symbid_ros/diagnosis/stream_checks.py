@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from symbid_ros.diagnosis.effort_findings import NO_CONVERSIONS, SignConversions
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity
-from symbid_ros.diagnosis.forces import NO_CONVERSIONS, SignConversions
 from symbid_ros.diagnosis.imu_checks import ImuCheck, QuaternionCheck
 from symbid_ros.diagnosis.jitter import JitterCheck
 from symbid_ros.diagnosis.joint_checks import JointCheck
@@ -13,8 +13,12 @@ from symbid_ros.diagnosis.timing import TimingCheck
 from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
-from symbid_ros.signals.alignment import contact_flag_faults, missing_imu, wrist_sensor_faults
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
+from symbid_ros.signals.required_sensors import (
+    contact_flag_faults,
+    missing_imu,
+    wrist_sensor_faults,
+)
 from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
 
 

@@ -16,8 +16,9 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.atomic_write import write_through
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.group_moments import GROUPS, CoordinateMoments, GroupMoments
-from symbid_ros.estimation.information import Information, RowLayout
+from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.user_files import open_regular
 
 FORMAT = 3

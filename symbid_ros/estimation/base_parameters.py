@@ -16,7 +16,7 @@ from scipy.linalg import qr
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.estimation.information import random_motions
+from symbid_ros.estimation.row_layout import random_motions
 from symbid_ros.model.parameters import ParameterSet
 
 # With columns of unit length, none of 67 published robots (floating or fixed) has a singular value
@@ -71,11 +71,6 @@ class BaseParameters:
     def clear(self) -> bool:
         """Whether a wide gap in the singular values defines the rank."""
         return self.dropped * CLEAR_GAP < self.kept
-
-    @property
-    def without_effect(self) -> BoolArray:
-        """(p,) parameters that affect no motion."""
-        return np.asarray(self.effect == 0.0)
 
     @cached_property
     def alone(self) -> BoolArray:

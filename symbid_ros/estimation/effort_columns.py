@@ -12,8 +12,9 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.group_moments import CoordinateMoments, GroupMoments
-from symbid_ros.estimation.information import Information, RowLayout, stacked_factor
+from symbid_ros.estimation.information import Information, stacked_factor
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.row_layout import RowLayout
 
 
 @dataclass(frozen=True)

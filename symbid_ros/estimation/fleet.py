@@ -1,11 +1,7 @@
 """Several robots of one type: common parameters, spread between robots, and robots that differ.
 
-Robot r has the parameters φ_r = μ + δ_r. The common ones have the prior of the model, μ ~ N(φ̄, P).
-The deviations δ_r ~ N(0, D) have a variance for all moments of links and one for each joint term,
-relative to the values, and a gain that all efforts of one robot have in common. These variances are
-those that make the data most probable, with μ integrated out (restricted maximum likelihood:
-Patterson and Thompson 1971, Biometrika 58(3)), by the fixed-point iteration of Harville 1977,
-J. Am. Stat. Assoc. 72(358).
+The common parameters μ and the spread between robots, a variance D of their deviations δ_r, come
+from :mod:`symbid_ros.estimation.fleet_spread`.
 
 The data rows are b_r = A_r (μ + δ_r) + ε, with V_r = 1 + A_r D A_rᵀ. A link of robot r that has
 changed by E t shows it in the score g = Eᵀ A_rᵀ V_r⁻¹ (b_r - A_r μ̂). Without a change g has the
@@ -18,30 +14,19 @@ evidence comes first. Then the spread is estimated again without it, and so on.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.stats import chi2
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.fleet_changes import DENSER, LEVEL, LinkChange, link_change
-from symbid_ros.estimation.mass_scale import FORCE_SCALE_STD
+from symbid_ros.estimation.fleet_spread import FleetFit, covariance_root, data_rows, spread_groups
 from symbid_ros.estimation.posterior import Posterior
-from symbid_ros.estimation.prior_std import body_covariance, payload_std, term_scale
+from symbid_ros.estimation.prior_std import payload_std, term_scale
 from symbid_ros.model.parameters import ParameterSet
 
-# Information below which a direction of a robot is not used, relative to the prior's.
-LEAST_INFORMATION = 1e-6
-LINKS = "links"  # group of all moments of all links
-# Relative deviations between robots: from where the iteration starts, and the smallest.
-FIRST_SPREAD, LEAST_SPREAD = 0.01, 1e-4
-ITERATIONS = 200
-CONVERGED = 1e-3
 # Places whose evidence is smaller than the best one's by this, nat, are ruled out.
 DISTINGUISHABLE = 5.0
-# A deviation of a joint term of which nothing is known, relative to that of the prior.
-LEAST_TERM = 0.02
 
 
 @dataclass(frozen=True)
@@ -106,8 +91,6 @@ class FleetEstimate:
         Common parameters, SI units.
     values, stds : (R, p) float64
         Parameters of each robot, given the fleet.
-    own_stds : (R, p) float64
-        Standard deviations of each robot's parameters from its own data.
     single_stds : (R, p) float64
         Standard deviations of the common parameters from one robot's data and the spread.
     robots : tuple of str
@@ -127,7 +110,6 @@ class FleetEstimate:
     common_std: FloatArray
     values: FloatArray
     stds: FloatArray
-    own_stds: FloatArray
     single_stds: FloatArray
     robots: tuple[str, ...]
     spread: dict[str, float]
@@ -173,9 +155,8 @@ def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> 
     single = np.sqrt(np.mean([one.posterior.std**2 for one in members], axis=0))
     # A value that is not known may be as large as its deviation.
     size = np.hypot(typical, single)
-    fit = _Fit.of(
-        [data_rows(one.posterior) for one in members], _groups(parameters, typical, size, L)
-    )
+    rows = [data_rows(one.posterior) for one in members]
+    fit = FleetFit.of(rows, *spread_groups(parameters, typical, size, L))
     places = _places(parameters, typical)
     scaled = [_scaled(place, L) for place in places]
     found: list[tuple[int, int, float, float, tuple[str, ...]]] = []
@@ -213,7 +194,7 @@ def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> 
     for robot in range(len(members)):
         own, spread = fit.member(robot)
         values.append(prior.mean + L @ own)
-        stds.append(_norms(L @ _root(spread)))
+        stds.append(_norms(L @ covariance_root(spread)))
     links = list(zip(places, scaled, strict=True))[: len(parameters.link_names)]
     changes = [
         [_link_change(fit, robot, place, factors, L, tests=tests) for place, factors in links]
@@ -235,179 +216,13 @@ def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> 
         common_std,
         np.array(values),
         np.array(stds),
-        np.array([one.posterior.std for one in members]),
-        np.array([_norms(L @ _root(fit.alone(robot))) for robot in range(len(members))]),
+        np.array([_norms(L @ covariance_root(fit.alone(robot))) for robot in range(len(members))]),
         tuple(one.name for one in members),
         {name: float(size) for name, size in zip(fit.names, fit.sizes, strict=True)},
         tuple(sorted(deviations, key=lambda one: -one.evidence)),
         tuple(map(tuple, changes)),
         tests,
     )
-
-
-def data_rows(found: Posterior) -> tuple[FloatArray, FloatArray]:
-    """Return whitened rows A (k, p) and targets b (k,) that hold what the data alone say.
-
-    They are about x with φ = φ̄ + L x, where x ~ N(0, 1) is the prior. Residuals that are correlated
-    in time are allowed for.
-    """
-    L = found.prior.covariance_factor()
-    R = found.factor @ L
-    precision = R.T @ R
-    h = precision @ np.linalg.solve(L, found.mean - found.prior.mean)
-    values, V = np.linalg.eigh(precision - np.eye(len(h)))
-    kept = values > max(LEAST_INFORMATION, 1e-12 * values[-1])
-    root = np.sqrt(values[kept])
-    U = V[:, kept] * root
-    # J = U Uᵀ and h = U b. Correlated residuals add a covariance to b.
-    b = V[:, kept].T @ h / root
-    if found.excess_score is not None:
-        excess = (V[:, kept] / root).T @ (L.T @ found.excess_score)
-        whitening = np.linalg.cholesky(np.eye(len(b)) + excess @ excess.T)
-        return np.linalg.solve(whitening, U.T), np.linalg.solve(whitening, b)
-    return U.T, b
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """Rows of all robots with the spread between these, in prior deviations.
-
-    Attributes
-    ----------
-    rows : list of ((k, p), (k,))
-        A and b of each robot.
-    names : tuple of str
-        Names of the groups of parameters that have a spread of their own.
-    factors : tuple of (p, q) float64
-        B of each group: deviations of 1 have the covariance B Bᵀ.
-    sizes : (g,) float64
-        Relative deviations.
-    gain : (p, 1) float64
-        Deviation of all parameters with the gain of a robot's efforts.
-    free : tuple of tuple of (p, k) float64
-        Factors of further deviations of each robot.
-    """
-
-    rows: list[tuple[FloatArray, FloatArray]]
-    names: tuple[str, ...]
-    factors: tuple[FloatArray, ...]
-    sizes: FloatArray
-    gain: FloatArray
-    free: tuple[tuple[FloatArray, ...], ...]
-
-    @classmethod
-    def of(
-        cls,
-        rows: list[tuple[FloatArray, FloatArray]],
-        groups: tuple[dict[str, FloatArray], FloatArray],
-    ) -> "_Fit":
-        """Estimate the spread of each group."""
-        factors, gain = groups
-        first = np.full(len(factors), FIRST_SPREAD)
-        nothing: tuple[tuple[FloatArray, ...], ...] = ((),) * len(rows)
-        return cls(rows, tuple(factors), tuple(factors.values()), first, gain, nothing)._converged()
-
-    def with_deviation(self, robot: int, factor: FloatArray) -> "_Fit":
-        """Return the fit with a further deviation of one robot."""
-        free = list(self.free)
-        free[robot] = (*free[robot], factor)
-        return _Fit(
-            self.rows, self.names, self.factors, self.sizes, self.gain, tuple(free)
-        )._converged()
-
-    def _converged(self) -> "_Fit":
-        sizes = self.sizes
-        fit = self
-        for _ in range(ITERATIONS):
-            updated = np.maximum(sizes * np.sqrt(fit._ratios()), LEAST_SPREAD)
-            change = np.max(np.abs(np.log(updated / sizes)), initial=0.0)
-            sizes = updated
-            fit = _Fit(self.rows, self.names, self.factors, sizes, self.gain, self.free)
-            if change < CONVERGED:
-                break
-        return fit
-
-    def _ratios(self) -> FloatArray:
-        """Squares of the groups' scores over their expected values, (g,)."""
-        totals = np.zeros((2, len(self.factors)))
-        for score, information in self.scores:
-            for group, factor in enumerate(self.factors):
-                totals[0, group] += np.sum((factor.T @ score) ** 2)
-                totals[1, group] += np.sum((information @ factor) * factor)
-        return np.asarray(totals[0] / np.maximum(totals[1], 1e-300))
-
-    def spread_factor(self, robot: int) -> FloatArray:
-        """Return F (p, q) with the covariance D = F Fᵀ of a robot's deviations."""
-        scaled = [size * one for size, one in zip(self.sizes, self.factors, strict=True)]
-        return np.concatenate([*scaled, self.gain, *self.free[robot]], axis=1)
-
-    @cached_property
-    def whitened(self) -> list[tuple[FloatArray, FloatArray]]:
-        """V^(-1/2) A and V^(-1/2) b of each robot."""
-        found = []
-        for robot, (A, b) in enumerate(self.rows):
-            moved = A @ self.spread_factor(robot)
-            root = np.linalg.cholesky(np.eye(len(b)) + moved @ moved.T)
-            found.append((np.linalg.solve(root, A), np.linalg.solve(root, b)))
-        return found
-
-    @cached_property
-    def common(self) -> tuple[FloatArray, FloatArray]:
-        """Mean (p,) and covariance (p, p) of the common parameters."""
-        parts = self.whitened
-        p = self.gain.shape[0]
-        precision = np.eye(p) + sum(A.T @ A for A, _ in parts)
-        covariance = np.linalg.inv(precision)
-        mean = covariance @ sum(A.T @ b for A, b in parts)
-        return mean, (covariance + covariance.T) / 2
-
-    def alone(self, robot: int) -> FloatArray:
-        """Return the covariance (p, p) of the common parameters from one robot's data."""
-        A, _ = self.whitened[robot]
-        return np.asarray(np.linalg.inv(np.eye(A.shape[1]) + A.T @ A))
-
-    @cached_property
-    def scores(self) -> list[tuple[FloatArray, FloatArray]]:
-        """The score (p,) of each robot's deviation, and its covariance (p, p)."""
-        mean, covariance = self.common
-        found = []
-        for A, b in self.whitened:
-            information = A.T @ A
-            spread = information - information @ covariance @ information
-            found.append((A.T @ (b - A @ mean), spread))
-        return found
-
-    def member(self, robot: int) -> tuple[FloatArray, FloatArray]:
-        """Return mean (p,) and covariance (p, p) of a robot's parameters, given all robots."""
-        mean, covariance = self.common
-        A, b = self.whitened[robot]
-        F = self.spread_factor(robot)
-        D = F @ F.T
-        moved = D @ A.T  # covariance of the deviation with the whitened rows
-        left = np.eye(len(mean)) - moved @ A
-        spread = D - moved @ moved.T + left @ covariance @ left.T
-        return mean + moved @ (b - A @ mean), spread
-
-
-def _groups(
-    parameters: ParameterSet, typical: FloatArray, size: FloatArray, L: FloatArray
-) -> tuple[dict[str, FloatArray], FloatArray]:
-    """Return the factors of the groups of parameters, and of the gain, in prior deviations."""
-    p, first = len(parameters), parameters.inertial
-    blocks = [_root(body_covariance(phi, 100.0)) for phi in parameters.link_phi(typical)]
-    groups = {LINKS: np.zeros((p, first))}
-    groups[LINKS][:first] = block_diag(*blocks)
-    least = np.zeros(p)
-    least[first:] = LEAST_TERM * term_scale(parameters)
-    size = np.maximum(size, least)
-    for term, columns in parameters.term_columns.items():
-        indices = np.arange(p)[columns]
-        factor = np.zeros((p, len(indices)))
-        factor[indices, np.arange(len(indices))] = size[indices]
-        groups[term] = factor
-    inverse = np.linalg.inv(L)
-    scaled = {name: inverse @ factor for name, factor in groups.items()}
-    return scaled, inverse @ (FORCE_SCALE_STD * typical[:, None])
 
 
 def _places(parameters: ParameterSet, typical: FloatArray) -> list[_Place]:
@@ -443,7 +258,7 @@ def _scaled(place: _Place, L: FloatArray) -> tuple[FloatArray, FloatArray | None
 
 
 def _test(
-    fit: _Fit, robot: int, factors: tuple[FloatArray, FloatArray | None]
+    fit: FleetFit, robot: int, factors: tuple[FloatArray, FloatArray | None]
 ) -> tuple[float, float] | None:
     """Return evidence and p-value of a deviation of a robot; None if no change would show."""
     score, information = fit.scores[robot]
@@ -465,17 +280,8 @@ def _test(
     return evidence, min(1.0, *(len(p_values) * one for one in p_values))
 
 
-def _without(fit: _Fit, robot: int, any_change: FloatArray) -> _Fit:
-    """Return the fit without the deviation of a place, whose score then shows its size."""
-    free = list(fit.free)
-    free[robot] = tuple(one for one in free[robot] if one is not any_change)
-    if len(free[robot]) == len(fit.free[robot]):
-        return fit
-    return _Fit(fit.rows, fit.names, fit.factors, fit.sizes, fit.gain, tuple(free))
-
-
 def _link_change(
-    fit: _Fit,
+    fit: FleetFit,
     robot: int,
     place: _Place,
     factors: tuple[FloatArray, FloatArray | None],
@@ -487,15 +293,15 @@ def _link_change(
     any_change, denser = factors
     if denser is None:
         return None
-    without = _without(fit, robot, any_change)
+    without = fit.without_deviation(robot, any_change)
     columns = list(place.columns)
     known = (L @ fit.common[1] @ L.T)[np.ix_(columns, columns)]
-    own = np.linalg.inv(L)[:, columns] @ _root(known)
+    own = np.linalg.inv(L)[:, columns] @ covariance_root(known)
     return link_change(*without.scores[robot], denser, own, tests)
 
 
 def _deviation(
-    fit: _Fit,
+    fit: FleetFit,
     robot: int,
     place: _Place,
     factors: tuple[FloatArray, FloatArray | None],
@@ -505,7 +311,7 @@ def _deviation(
 ) -> Deviation:
     """Return the size of a deviation that the fit contains."""
     any_change, _ = factors
-    score, information = _without(fit, robot, any_change).scores[robot]
+    score, information = fit.without_deviation(robot, any_change).scores[robot]
     H = np.eye(any_change.shape[1]) + any_change.T @ information @ any_change
     covariance = np.linalg.inv(H)
     own = (L @ any_change)[list(place.columns)]
@@ -522,13 +328,6 @@ def _deviation(
         place.columns,
         (),
     )
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return F with F Fᵀ equal to a covariance that may be singular."""
-    values, V = np.linalg.eigh((covariance + covariance.T) / 2)
-    root: FloatArray = V * np.sqrt(np.maximum(values, 0.0))
-    return root
 
 
 def _norms(factor: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import Rows
-from symbid_ros.estimation.information import RowLayout
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.signals.sampled_rows import SampledRows
 from symbid_ros.signals.weak_form import WindowedRows
 

@@ -10,7 +10,8 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.group_moments import BY_SECONDS, Grouping, GroupMoments
-from symbid_ros.estimation.information import Information, RowLayout
+from symbid_ros.estimation.information import Information
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.estimation.unfolded_rows import UnfoldedRows
 from symbid_ros.signals.sampled_rows import SampledRows
 from symbid_ros.signals.weak_form import INFLATION, WindowedRows

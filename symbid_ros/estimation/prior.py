@@ -8,6 +8,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import PriorError
+from symbid_ros.estimation.prior_scales import MISSING_PARTS
 from symbid_ros.estimation.prior_std import (
     absolute_std,
     beyond_sensors,
@@ -33,8 +34,6 @@ Kind = Literal["percent", "absolute", "consistent", "separate"]
 
 # Half-width of the prior of a model file without a prior of its own, %.
 DEFAULT_PERCENT = 25.0
-# Deviation of parts that a file lacks, as a share of that of the other errors.
-MISSING_PARTS = 0.1
 # Smallest share of a deviation that must remain given all parameters before it.
 _CERTAINTY = 1e-10
 

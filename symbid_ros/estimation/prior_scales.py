@@ -16,9 +16,10 @@ RATIO_STD = 2.0
 # Deviation of the logarithm of a factor below one. Without it, data that hold one or two
 # directions, in which the stated values happen to be right, would call all values exact.
 NARROWING_STD = 1.0
-# Deviation of the logarithm of the factor on errors of a third kind. They can explain all that the
-# others do, so the data must ask for them.
-PARTS_STD = 1.0
+# Small parts that a file lacks are a third kind of error, which can explain all that the others do.
+# So the data must ask for it: its deviations are this share of the others', and the logarithm of
+# the factor on them has this deviation.
+MISSING_PARTS, PARTS_STD = 0.1, 1.0
 # Newton steps of the search for these factors at most, the longest and the shortest in their
 # logarithms, and by how much the cost must still fall.
 SEARCH_STEPS, LONGEST_STEP, SHORTEST_STEP, LEAST_FALL = 50, 1.0, 1e-9, 1e-12
@@ -62,12 +63,12 @@ class PriorEvidence:
 
         The covariance of x is the sum of those of all kinds. The factors maximise the evidence
         times a prior: of the ratio of the first two, without which data that hold few directions of
-        one kind would make it vanish, and of the third.
+        one kind would make it vanish, and of that on missing parts.
 
         Parameters
         ----------
         kinds : sequence of (count, m) float64
-            A root of each kind's covariance.
+            A root of each kind's covariance: of other bodies, wrong numbers and missing parts.
         start : (k,) float64, optional
             Where to begin; at the common factor by default.
         """

@@ -8,10 +8,10 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import KINEMATIC_ERRORS
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior, stacked
 from symbid_ros.estimation.prior import Prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.drift_evidence import drift_by_evidence
 from symbid_ros.identification.drive_gains import SPREAD, InitialFactors

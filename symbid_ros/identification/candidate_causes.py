@@ -13,8 +13,8 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS
 from symbid_ros.dynamics.regressor import Rows, coulomb_column, friction_state, stribeck_column
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
-from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.warming import is_too_short
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -101,8 +101,8 @@ class CandidateRows:
     @classmethod
     def of(cls, loaded: LoadedProblem, found: Identification) -> "CandidateRows | None":
         """Build the rows over the longest windows; None if the log is too short."""
-        solver = loaded.solver
-        problem = solver.problem
+        solved = loaded.solved
+        problem = solved.problem
         segments = loaded.dataset.segments
         first = next(iter(segments), None)
         if first is None:
@@ -123,7 +123,7 @@ class CandidateRows:
         group = stamp // period % GROUPS
         if len(np.unique(group)) < GROUPS:
             return None
-        prior = solver.posterior.prior
+        prior = solved.posterior.prior
         count = len(prior.mean)
         return cls(
             problem.parameters.model,
@@ -135,7 +135,7 @@ class CandidateRows:
             y,
             valid,
             group,
-            solver.posterior.covariance,
+            solved.posterior.covariance,
             first.rate,
             stamp,
             build.span,

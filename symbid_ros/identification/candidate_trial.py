@@ -16,7 +16,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
 from symbid_ros.identification.joint_terms import candidate_posterior
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.term_priors import candidate_prior
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.segments import Segment, split
@@ -41,41 +41,41 @@ class Trial:
     free: BoolArray
 
 
-def leaves_residuals(solver: Solver) -> bool:
+def leaves_residuals(solved: SolvedProblem) -> bool:
     """Return whether the chosen terms leave correlated residuals, so that drives may have others.
 
     Without measured efforts it is False.
     """
-    choice = solver.problem.choice
+    choice = solved.problem.choice
     if choice is None or not choice.measured.any():
         return False
-    return solver.whiteness >= SUSPICIOUS_WHITENESS
+    return solved.whiteness >= SUSPICIOUS_WHITENESS
 
 
-def with_plausible_prior(solver: Solver) -> Solver:
-    """Return a solver in whose residuals further terms and errors can be searched for.
+def with_plausible_prior(solved: SolvedProblem) -> SolvedProblem:
+    """Return a solved problem in whose residuals further terms and errors can be searched for.
 
     If the data contradict a stated prior, its residuals are those of wrong links, which a ripple or
     a spring would resemble. The data set the scale of the prior then.
     """
-    problem = solver.problem
-    is_contradicted = solver.posterior.prior_scale > SUSPICIOUS_SCALE
+    problem = solved.problem
+    is_contradicted = solved.posterior.prior_scale > SUSPICIOUS_SCALE
     if problem.is_empirical or problem.calibrated_rows is not None or not is_contradicted:
-        return solver
-    return Solver.of(replace(problem, is_empirical=True))
+        return solved
+    return SolvedProblem.of(replace(problem, is_empirical=True))
 
 
-def training_part(solver: Solver, dataset: Dataset) -> Iterable[Segment]:
+def training_part(solved: SolvedProblem, dataset: Dataset) -> Iterable[Segment]:
     """Return the segments of the first three quarters of a log; none if it is too short."""
     try:
-        training, _ = split(dataset.segments, max(solver.chosen.window, *WINDOWS), dataset.source)
+        training, _ = split(dataset.segments, max(solved.chosen.window, *WINDOWS), dataset.source)
     except SymbidError:
         return ()
     return training
 
 
 def try_columns(
-    solver: Solver,
+    solved: SolvedProblem,
     training: Iterable[Segment],
     source: str,
     parameters: ParameterSet,
@@ -87,7 +87,7 @@ def try_columns(
 
     Parameters
     ----------
-    solver : Solver
+    solved : SolvedProblem
         Of the log, with chosen joint terms and without the columns.
     training : iterable of Segment
     source : str
@@ -99,7 +99,7 @@ def try_columns(
     grouping : Grouping
         Which rows are left out together when columns are judged by the rows that they predict.
     """
-    problem, window = solver.problem, solver.chosen.window
+    problem, window = solved.problem, solved.chosen.window
     choice = problem.choice
     assert choice is not None
     processing = Processing(windows=(window,), grouping=grouping)
@@ -108,7 +108,7 @@ def try_columns(
     except SymbidError:
         return None
     # The prior of the links, with the scale that the evidence gave it.
-    prior = solver.posterior.prior.for_columns(parameters)
+    prior = solved.posterior.prior.for_columns(parameters)
     prior = candidate_prior(prior, parameters, trial.observations[0])
     everything = replace(
         problem,

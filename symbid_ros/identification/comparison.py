@@ -8,11 +8,12 @@ import numpy as np
 
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import EstimateError
-from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.error_changes import percent
 from symbid_ros.identification.force_errors import ForceRows, compare_errors
 from symbid_ros.identification.result import Result
-from symbid_ros.identification.validation import Validation, assess, predictor_of
+from symbid_ros.identification.validation import assess, predictor_of
+from symbid_ros.identification.validation_result import Validation
 from symbid_ros.json_documents import versioned
 from symbid_ros.signals.log import Log
 

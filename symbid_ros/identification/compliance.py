@@ -10,12 +10,12 @@ import logging
 
 import numpy as np
 
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.posterior import posterior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.calibration import POINT_CONVERGED, compliance_std
 from symbid_ros.identification.candidate_trial import training_part, with_plausible_prior
 from symbid_ros.identification.dataset import Dataset, observe
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.sensor_errors import COMPLIANCE, SensorErrors
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suitable_windows
@@ -29,29 +29,29 @@ LEAST_SQUARE = 20.0
 IMPOSSIBLE = 3.0
 
 
-def shows_compliance(solver: Solver, dataset: Dataset) -> bool:
+def shows_compliance(solved: SolvedProblem, dataset: Dataset) -> bool:
     """Return whether a log of a robot with a fixed base shows joints that bend.
 
     Parameters
     ----------
-    solver : Solver
+    solved : SolvedProblem
         Of the log, with chosen joint terms and without sensor errors.
     dataset : Dataset
         The log, of which the first three quarters are used.
     """
-    problem, parameters = solver.problem, solver.problem.parameters
+    problem, parameters = solved.problem, solved.problem.parameters
     model = parameters.model
     if problem.choice is None or model.floating or model.wrist_sensors or model.contacts:
         return False
-    training = list(training_part(solver, dataset))
+    training = list(training_part(solved, dataset))
     if not training:
         return False
-    solver = with_plausible_prior(solver)
-    count, prior = len(parameters), solver.posterior.prior
+    solved = with_plausible_prior(solved)
+    count, prior = len(parameters), solved.posterior.prior
     errors = SensorErrors.of((COMPLIANCE,), model, training[0].wrench_frames, ())
     nothing = np.zeros(len(errors))
     build = CalibratingRows(
-        parameters, errors, LinearizationPoint(solver.posterior.mean[:count], nothing)
+        parameters, errors, LinearizationPoint(solved.posterior.mean[:count], nothing)
     )
     layout = RowLayout.of(parameters).extended(errors.names, errors.structure(model))
     window = suitable_windows(ALL_WINDOWS, training[0].rate)[-1]

@@ -11,7 +11,7 @@ from dataclasses import replace
 from symbid_ros.estimation.term_evidence import coupled_friction, predictive_effects
 from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
 from symbid_ros.identification.dataset import Dataset
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 
@@ -21,12 +21,12 @@ logger = logging.getLogger(__name__)
 MOST_JOINTS = 10
 
 
-def find_couplings(solver: Solver, dataset: Dataset) -> tuple[Coupling, ...]:
+def find_couplings(solved: SolvedProblem, dataset: Dataset) -> tuple[Coupling, ...]:
     """Return the couplings of neighbouring joints that a log shows.
 
     Parameters
     ----------
-    solver : Solver
+    solved : SolvedProblem
         Of the log, with chosen joint terms and without couplings.
     dataset : Dataset
         The log.
@@ -36,15 +36,15 @@ def find_couplings(solver: Solver, dataset: Dataset) -> tuple[Coupling, ...]:
     tuple of Coupling
         Empty if the residuals are white noise, the base floats or there are many joints.
     """
-    choice = solver.problem.choice
-    if choice is None or choice.parameters.couplings or not leaves_residuals(solver):
+    choice = solved.problem.choice
+    if choice is None or choice.parameters.couplings or not leaves_residuals(solved):
         return ()
     pairs = neighbours(choice.parameters)
     if not pairs:
         return ()
     parameters = replace(choice.parameters, couplings=pairs)
-    training = training_part(solver, dataset)
-    trial = try_columns(solver, training, dataset.source, parameters, slips=True)
+    training = training_part(solved, dataset)
+    trial = try_columns(solved, training, dataset.source, parameters, slips=True)
     if trial is None:
         return ()
     effects = coupled_friction(parameters)

@@ -26,7 +26,7 @@ from symbid_ros.choices import SLIDING_TERMS
 from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.window_comparison import COMPARABLE
 from symbid_ros.signals.fast_rows import LENGTH, SPACING, Bands, ComplexArray, FastRows
 from symbid_ros.signals.segments import RemoteSegments, Segment
@@ -59,40 +59,40 @@ SAME_RATE = 0.01
 ROUNDING, UNUSED = 1e-9, 1e6
 
 
-def with_fast_motion(solver: Solver, dataset: Dataset) -> Solver:
+def with_fast_motion(solved: SolvedProblem, dataset: Dataset) -> SolvedProblem:
     """Return the solution that uses fast motion too, if the log of a floating robot contains any.
 
     Parameters
     ----------
-    solver : Solver
+    solved : SolvedProblem
         Of the log, with chosen joint terms.
     dataset : Dataset
     """
-    rows = tuple(_fast_rows(solver, dataset))
+    rows = tuple(_fast_rows(solved, dataset))
     if not rows:
-        return solver
+        return solved
     rate = rows[0].bands.rate  # another log may have another rate, and other bands
     rows = tuple(one for one in rows if np.isclose(one.bands.rate, rate, rtol=SAME_RATE))
     try:
-        return _solved(_FastMotion.of(rows, solver), solver, dataset.source)
+        return _solved(_FastMotion.of(rows, solved), solved, dataset.source)
     except np.linalg.LinAlgError:  # readings without noise
         logger.info("%s: the noise of fast motion cannot be estimated", dataset.source)
-        return solver
+        return solved
 
 
-def _solved(motion: "_FastMotion", solver: Solver, source: str) -> Solver:
-    slow, found = solver.posterior, solver
+def _solved(motion: "_FastMotion", solved: SolvedProblem, source: str) -> SolvedProblem:
+    slow, found = solved.posterior, solved
     scores = motion.scores(slow.mean, len(motion.bands))
     used = _consistent(scores, slow.deviation_factor)
     bits = _bits(scores[:used], slow.deviation_factor, slow.prior.std)
     if bits < LEAST_BITS:
-        return solver
+        return solved
     for step in range(STEPS):
         before = found.posterior.mean
         if step:
             scores = motion.scores(before, used)
         measurements = _together(scores[:used]).measurements(before, slow.prior.std)
-        found = solver.with_measurements(measurements)
+        found = solved.with_measurements(measurements)
         change = found.posterior.factor @ (found.posterior.mean - before)
         if change @ change < COMPARABLE**2 * len(change):
             break
@@ -182,9 +182,9 @@ class _FastMotion:
     variance: FloatArray
 
     @classmethod
-    def of(cls, rows: tuple[FastRows, ...], solver: Solver) -> "_FastMotion":
-        mean = solver.posterior.mean
-        return cls(rows, rows[0].bands, noise_variances(rows, mean, _start(rows, solver)))
+    def of(cls, rows: tuple[FastRows, ...], solved: SolvedProblem) -> "_FastMotion":
+        mean = solved.posterior.mean
+        return cls(rows, rows[0].bands, noise_variances(rows, mean, _start(rows, solved)))
 
     def scores(self, phi: FloatArray, count: int) -> list[Score]:
         """Return what each of the lowest bands tells near parameters φ (p,)."""
@@ -268,7 +268,7 @@ def noise_variances(rows: Sequence[FastRows], phi: FloatArray, start: FloatArray
     return np.asarray(S / power)
 
 
-def _start(rows: Sequence[FastRows], solver: Solver) -> FloatArray:
+def _start(rows: Sequence[FastRows], solved: SolvedProblem) -> FloatArray:
     """Return first guesses (c,) of the channels' variances.
 
     Motion fills the spectra of forces and accelerometers. The efforts' noise is at most that of
@@ -277,16 +277,16 @@ def _start(rows: Sequence[FastRows], solver: Solver) -> FloatArray:
     channels = rows[0].channels
     largest = np.mean([one.noise for one in rows], axis=0)
     efforts = slice(channels.motion, channels.motion + channels.joints)
-    ratio = _row_noise(solver, rows[0].bands.rate) / np.maximum(largest[efforts], 1e-300)
+    ratio = _row_noise(solved, rows[0].bands.rate) / np.maximum(largest[efforts], 1e-300)
     is_direct = channels.order == 0
     return np.asarray(np.where(is_direct, min(np.median(ratio), 1.0), 1.0) * largest)
 
 
-def _row_noise(solver: Solver, rate: float) -> FloatArray:
+def _row_noise(solved: SolvedProblem, rate: float) -> FloatArray:
     """Return the variances (J,) that samples of the efforts have at most, from slow rows."""
-    joints = len(solver.problem.parameters.model.joints)
-    of_rows = solver.posterior.covariance.diagonal()[-joints:] / solver.chosen.inflation
-    return np.asarray(of_rows * solver.chosen.window * rate / HANN)
+    joints = len(solved.problem.parameters.model.joints)
+    of_rows = solved.posterior.covariance.diagonal()[-joints:] / solved.chosen.inflation
+    return np.asarray(of_rows * solved.chosen.window * rate / HANN)
 
 
 def _covariance(T: ComplexArray, S: FloatArray, valid: BoolArray) -> ComplexArray:
@@ -318,16 +318,16 @@ def _parts(rows: Sequence[FastRows]) -> Iterator[FastRows]:
         yield from one.parts()
 
 
-def _fast_rows(solver: Solver, dataset: Dataset) -> Iterator[FastRows]:
+def _fast_rows(solved: SolvedProblem, dataset: Dataset) -> Iterator[FastRows]:
     """Yield the rows of blocks with fast motion, at equal distances."""
-    problem, segments = solver.problem, dataset.segments
+    problem, segments = solved.problem, dataset.segments
     model, stamp = problem.parameters.model, dataset.samples.stamp
     if (
         not (model.floating and model.joints and len(stamp))
         or model.contacts is not None
         or model.wrist_sensors
         or problem.sensor_names
-        or solver.chosen.window == 0
+        or solved.chosen.window == 0
         or isinstance(segments, RemoteSegments)
     ):
         return
@@ -341,7 +341,7 @@ def _fast_rows(solver: Solver, dataset: Dataset) -> Iterator[FastRows]:
         bands = Bands(segment.rate)
         if not len(bands):
             continue
-        noise = _row_noise(solver, segment.rate)
+        noise = _row_noise(solved, segment.rate)
         size = 2 * BLOCK * 1e-9 / LENGTH * len(bands) * model.dof * len(parameters) * 8
         stride = int(np.ceil(blocks * size / MOST_KEPT))
         for block in cut_into_blocks(segment):

@@ -10,19 +10,14 @@ from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.estimate_file import load_estimate
-from symbid_ros.estimation.fleet import (
-    LEAST_SPREAD,
-    Deviation,
-    FleetEstimate,
-    FleetMember,
-    estimate_fleet,
-)
+from symbid_ros.estimation.fleet import Deviation, FleetEstimate, FleetMember, estimate_fleet
+from symbid_ros.estimation.fleet_spread import LEAST_SPREAD
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.loaded_problem import load_information
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import load_result_robot
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.stored_information import columns_of, with_constant_friction
 from symbid_ros.json_documents import versioned
 from symbid_ros.model.tree import RobotModel
@@ -122,13 +117,13 @@ def fleet(robot: RobotModel, data: Mapping[str, tuple[Observations, ...]]) -> Fl
     if together[0].slipping is None:
         terms = columns_of(robot, together).terms
     else:
-        chosen = load_information(robot, together, IdentifyOptions()).solver.problem.choice
+        chosen = load_information(robot, together, IdentifyOptions()).solved.problem.choice
         terms = () if chosen is None else chosen.terms
     options = IdentifyOptions(joint_terms=terms or ("none",))
-    pooled = load_information(robot, together, options).solver
+    pooled = load_information(robot, together, options).solved
     members = []
     for name, observations in data.items():
-        problem = load_information(robot, observations, options).solver.problem
+        problem = load_information(robot, observations, options).solved.problem
         window = [one for one in problem.observations if one.window == pooled.chosen.window]
         if not window:
             raise EstimateError(
@@ -137,7 +132,7 @@ def fleet(robot: RobotModel, data: Mapping[str, tuple[Observations, ...]]) -> Fl
                 "E961",
             )
         own = Problem(tuple(window), problem.parameters, pooled.posterior.prior)
-        members.append(FleetMember(name, Solver.of(own).posterior))
+        members.append(FleetMember(name, SolvedProblem.of(own).posterior))
     return estimate_fleet(members, pooled.problem.parameters)
 
 

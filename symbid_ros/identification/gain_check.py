@@ -18,9 +18,10 @@ from symbid_ros.estimation.effort_columns import EffortColumns
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.calibration import error_layout
 from symbid_ros.identification.drive_gains import named_joints
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.report_data import ForceSeries
-from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.wrist_sensors import component_names
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN, SensorErrors
@@ -82,7 +83,7 @@ def wrong_factors(
         Identifies another problem of the log.
     """
     before = checked.percent_after
-    if before is None or not _is_candidate(problem) or _square(problem.solver) < LEAST_SQUARE:
+    if before is None or not _is_candidate(problem) or _square(problem.solved) < LEAST_SQUARE:
         return None
 
     def trial_with(joints: tuple[str, ...], most: float) -> Trial | None:
@@ -95,13 +96,13 @@ def wrong_factors(
         return trial if after is not None and after <= most else None
 
     every = trial_with(("all",), min(REMAINS * before, UNDERSTOOD))
-    unlike = {} if every is None else _unlike(every.problem.solver)
+    unlike = {} if every is None else _unlike(every.problem.solved)
     if every is None or not unlike:
         return None
     improvement = before - (every.checked.percent_after or 0.0)
     some = trial_with(tuple(unlike), before - LEAST_PART * improvement)
     if some is not None:
-        said = _alarm(_factors(some.problem.solver), before, some.checked)
+        said = _alarm(_factors(some.problem.solved), before, some.checked)
         return WrongFactors(
             f"{said}; the factors of these joints are identified, `drive_gain` none takes their "
             "efforts as they are",
@@ -137,38 +138,38 @@ def _is_candidate(problem: LoadedProblem) -> bool:
     return (
         options.finds_drive_gains
         and not (model.floating or model.contacts or model.wrist_sensors or parameters.payloads)
-        and problem.solver.problem.calibrated_rows is None
+        and problem.solved.problem.calibrated_rows is None
         and len(named_joints(("all",), model)) > 1
     )
 
 
-def _square(solver: Solver) -> float:
+def _square(solved: SolvedProblem) -> float:
     """Return the mean square of the factors' errors, in deviations, about an estimate."""
-    joints = named_joints(("all",), solver.problem.parameters.model)
-    factors, covariance = _factors_beside(solver, joints, np.eye(len(joints)))
+    joints = named_joints(("all",), solved.problem.parameters.model)
+    factors, covariance = _factors_beside(solved, joints, np.eye(len(joints)))
     error = factors - 1
     return float(error @ np.linalg.solve(covariance, error)) / len(error)
 
 
 def _factors_beside(
-    solver: Solver, joints: tuple[str, ...], correlation: FloatArray
+    solved: SolvedProblem, joints: tuple[str, ...], correlation: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return factors (k,) of joints' efforts beside the other unknowns, and their covariance.
 
     ``correlation`` (k, k) is that of their prior.
     """
-    problem, phi = solver.problem, solver.posterior.mean
+    problem, phi = solved.problem, solved.posterior.mean
     parameters = problem.parameters
     errors = SensorErrors.of((DRIVE_GAIN,), parameters.model, (), (), joints)
-    rows = EffortColumns(error_layout(parameters, errors), len(joints)).beside(solver.chosen, phi)
+    rows = EffortColumns(error_layout(parameters, errors), len(joints)).beside(solved.chosen, phi)
     ones = np.ones(len(joints))
     root = PLAUSIBLE * np.linalg.cholesky(correlation).astype(np.float64)
-    prior = solver.posterior.prior.extended(errors.names, ones, PLAUSIBLE * ones, root)
+    prior = solved.posterior.prior.extended(errors.names, ones, PLAUSIBLE * ones, root)
     wide = replace(
         problem, prior=prior, is_empirical=False, pseudo_measurements=None, term_deviations=None
     )
-    found = Solver.approximate(
-        wide, rows, np.append(phi, ones), is_coupled=solver.chosen.is_coupled
+    found = SolvedProblem.approximate(
+        wide, rows, np.append(phi, ones), is_coupled=solved.chosen.is_coupled
     ).posterior
     factor = found.deviation_factor[len(phi) :]
     return found.mean[len(phi) :], factor @ factor.T
@@ -179,17 +180,17 @@ def wrist_sensor_alarms(problem: LoadedProblem) -> tuple[str, ...]:
 
     The efforts of the joints before the sensor feel what lies beyond it too.
     """
-    solver, parameters = problem.solver, problem.parameters
+    solved, parameters = problem.solved, problem.parameters
     model = parameters.model
     is_checked = not (model.floating or model.contacts or parameters.payloads)
-    if not is_checked or solver.problem.calibrated_rows is not None:
+    if not is_checked or solved.problem.calibrated_rows is not None:
         return ()
     found = []
     for frame in model.wrist_sensors:
         names = component_names(frame)
         alike = np.full((len(names), len(names)), ALIKE)
         np.fill_diagonal(alike, 1.0)
-        factors, covariance = _factors_beside(solver, names, alike)
+        factors, covariance = _factors_beside(solved, names, alike)
         weights = np.linalg.solve(covariance, np.ones(len(names)))
         factor, std = float(weights @ factors / weights.sum()), float(weights.sum() ** -0.5)
         if factor > 0 and abs(np.log(factor)) > max(CERTAIN * std / factor, RELEVANT):
@@ -202,22 +203,22 @@ def wrist_sensor_alarms(problem: LoadedProblem) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _factors(solver: Solver) -> dict[str, float]:
+def _factors(solved: SolvedProblem) -> dict[str, float]:
     """Return the joints whose factors are unknowns, with reading over torque."""
-    gains = solver.posterior.mean[len(solver.problem.parameters) :]
-    names = solver.problem.sensor_names
+    gains = solved.posterior.mean[len(solved.problem.parameters) :]
+    names = solved.problem.sensor_names
     return {
         name.rpartition("/")[0]: float(1 / gain) for name, gain in zip(names, gains, strict=True)
     }
 
 
-def _unlike(solver: Solver) -> dict[str, float]:
+def _unlike(solved: SolvedProblem) -> dict[str, float]:
     """Return the joints whose efforts differ from those of the others, and the factors.
 
     It is empty if some factors are implausible.
     """
-    count = len(solver.problem.parameters)
-    names, found = solver.problem.sensor_names, solver.posterior
+    count = len(solved.problem.parameters)
+    names, found = solved.problem.sensor_names, solved.posterior
     gains: FloatArray = found.mean[count:]
     relative = np.linalg.norm(found.deviation_factor[count:], axis=1) / np.abs(gains)
     logs = np.log(np.abs(gains))

@@ -27,7 +27,7 @@ from symbid_ros.identification.calibration import (
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.sampled_rows import SampledRows
@@ -97,7 +97,7 @@ def identify_gains(
     problem: Problem,
     dataset: Dataset,
     factors: InitialFactors,
-    solve: Callable[[Problem], Solver],
+    solve: Callable[[Problem], SolvedProblem],
 ) -> Problem:
     """Return a problem with drive gains as unknowns, linearised about the best estimate.
 
@@ -131,14 +131,14 @@ def identify_gains(
     gains = unknowns.guess
     for turn in range(ROUNDS):
         known = tuple(columns.converted(one, gains) for one in raw)
-        solver = solve(replace(problem, observations=known))
+        solved = solve(replace(problem, observations=known))
         if turn == 0:
-            phi = _whole(problem, solver, solver.posterior.mean)
-            rows = columns.linearised(_rows_of(solver, raw), phi, gains)
+            phi = _whole(problem, solved, solved.posterior.mean)
+            rows = columns.linearised(_rows_of(solved, raw), phi, gains)
             if factors.tell_scale:
                 unknowns = unknowns.with_scale(problem, rows, phi)
-        phi, gains = _improved(solver, columns, raw, unknowns, gains, joints=factors.joints)
-    whole = _whole(problem, solver, phi)
+        phi, gains = _improved(solved, columns, raw, unknowns, gains, joints=factors.joints)
+    whole = _whole(problem, solved, phi)
     found = replace(
         unknowns.added(_with_free_terms(problem, whole, factors.joints), gains),
         observations=tuple(columns.linearised(one, whole, gains) for one in raw),
@@ -146,7 +146,7 @@ def identify_gains(
         calibrated_rows=CalibratingRows(parameters, errors, LinearizationPoint(whole, gains)),
         remarks=(open_scale_remark(parameters, dataset),) if unknowns.holds_scale else (),
     )
-    choice = solver.problem.choice
+    choice = solved.problem.choice
     if choice is None:
         return found
     if choice.deviations is not None:
@@ -224,7 +224,7 @@ class _Gains:
 
 
 def _improved(
-    solver: Solver,
+    solved: SolvedProblem,
     columns: EffortColumns,
     raw: Sequence[Observations],
     unknowns: _Gains,
@@ -233,18 +233,18 @@ def _improved(
     joints: tuple[str, ...],
 ) -> tuple[FloatArray, FloatArray]:
     """Return parameters (p,) and gains (r,) after linearised steps from a solution."""
-    phi = solver.posterior.mean
+    phi = solved.posterior.mean
     # With a prior that changes, steps go to and fro between wide links and unlike gains.
-    problem = replace(solver.problem, prior=solver.posterior.prior, is_empirical=False)
+    problem = replace(solved.problem, prior=solved.posterior.prior, is_empirical=False)
     problem = _with_free_terms(problem, phi, joints)
     columns = columns.restricted(problem.parameters.names)
-    rows = _rows_of(solver, raw).restricted(columns.layout.parameters)
+    rows = _rows_of(solved, raw).restricted(columns.layout.parameters)
     before, share = np.zeros(len(gains)), 1.0
     for _ in range(STEPS):
         linear = columns.linearised(rows, phi, gains)
         start = np.append(phi, gains)
-        found = Solver.approximate(
-            unknowns.added(problem, gains), linear, start, is_coupled=solver.chosen.is_coupled
+        found = SolvedProblem.approximate(
+            unknowns.added(problem, gains), linear, start, is_coupled=solved.chosen.is_coupled
         ).consistent_unknowns()
         phi, new = found[: len(phi)], found[len(phi) :]
         step = np.clip(new / gains - 1, -LARGEST_STEP, LARGEST_STEP)
@@ -266,16 +266,16 @@ def _with_free_terms(problem: Problem, phi: FloatArray, joints: tuple[str, ...])
     return replace(problem, prior=problem.prior.widened(scale))
 
 
-def _rows_of(solver: Solver, raw: Sequence[Observations]) -> Observations:
+def _rows_of(solved: SolvedProblem, raw: Sequence[Observations]) -> Observations:
     """Return the rows that a solution used, with efforts and all candidate terms as columns."""
-    choice = solver.problem.choice
+    choice = solved.problem.choice
     used = raw if choice is None else choice.rows(raw)
-    (rows,) = (one for one in used if one.window == solver.chosen.window)
+    (rows,) = (one for one in used if one.window == solved.chosen.window)
     return rows
 
 
-def _whole(problem: Problem, solver: Solver, phi: FloatArray) -> FloatArray:
+def _whole(problem: Problem, solved: SolvedProblem, phi: FloatArray) -> FloatArray:
     """Return the parameters (p,) of all candidate terms, with those of a solution (p',)."""
     whole = problem.prior.mean.copy()
-    whole[[problem.prior.names.index(name) for name in solver.problem.parameters.names]] = phi
+    whole[[problem.prior.names.index(name) for name in solved.problem.parameters.names]] = phi
     return whole

@@ -9,6 +9,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.findings import OF_READINGS, has_unsigned_efforts
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.unexplained import force_text
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.joint_readings import find_readings
 from symbid_ros.identification.likely_cause import FROZEN, WRONG_READINGS, explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
@@ -17,7 +18,6 @@ from symbid_ros.identification.resting_joints import (
     resting_alarm,
     unpredicted_at_rest,
 )
-from symbid_ros.identification.solver import Identification
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
 
@@ -41,8 +41,8 @@ def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Iden
     """
     if found.estimate.verdict is None:
         return found
-    model, dataset = problem.solver.problem.parameters.model, problem.dataset
-    resting = unpredicted_at_rest(problem.solver, dataset, found.estimate.residual_rmse)
+    model, dataset = problem.parameters.model, problem.dataset
+    resting = unpredicted_at_rest(problem.solved, dataset, found.estimate.residual_rmse)
     if model.floating:  # noise of wrenches adds to that of efforts
         return explained(problem, found, FROZEN if resting else "")
     named = set[str]()
@@ -79,14 +79,14 @@ def _unpredicted(
     Of joints whose friction could not be judged, the second dictionary has the sizes of what is not
     predicted.
     """
-    solved, rows = problem.solver.problem, problem.solver.chosen
-    model = solved.parameters.model
+    solved, model = problem.solved, problem.parameters.model
+    rows, choice, sensors = solved.chosen, solved.problem.choice, solved.problem.sensor_names
     counts = rows.counts.diagonal()
     measured = np.sqrt(rows.rows.target_squares / np.maximum(counts, 1))
     left = found.estimate.residual_rmse
     # Efforts whose factor is identified are not measured in Nm.
-    joints = {one for one in model.joint_names if f"{one}/drive_gain" not in solved.sensor_names}
-    short = () if solved.choice is None else solved.choice.unjudged
+    joints = {one for one in model.joint_names if f"{one}/drive_gain" not in sensors}
+    short = () if choice is None else choice.unjudged
     doubted = {
         name: size
         for name, size, count in zip(rows.layout.coordinates, measured, counts, strict=True)

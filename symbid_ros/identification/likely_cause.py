@@ -19,8 +19,8 @@ from symbid_ros.estimation.alarms import Alarm, coloured_alarm
 from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
 from symbid_ros.identification.brief_disturbance import brief_disturbance
 from symbid_ros.identification.candidate_causes import GROUPS, Candidate, CandidateRows
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
-from symbid_ros.identification.solver import Identification
 from symbid_ros.signals.segments import Segment
 
 # Share by which a cause must reduce the square error of left-out blocks to be named.
@@ -118,7 +118,7 @@ def explained(
     found = _with_tried_causes(problem, found, known_cause)
     if not found.alarms:
         return found
-    model = problem.solver.problem.parameters.model
+    model = problem.parameters.model
     names = held_joints(model.joint_names, problem.dataset.segments)
     own = [name for name in names if name in model.measured_joint_names]
     if not own:
@@ -176,12 +176,11 @@ def _with_cause(
     """Return an identification whose alarm of correlated residuals says when and why."""
     verdict = found.estimate.verdict
     assert verdict is not None
-    before = coloured_alarm(verdict.whiteness, verdict.unexplained)
-    after = coloured_alarm(verdict.whiteness, verdict.unexplained, when=when, cause=sentence)
-    alarms = tuple(after if alarm == before else alarm for alarm in verdict.alarms)
+    named = coloured_alarm(verdict.whiteness, verdict.unexplained, when=when, cause=sentence)
+    alarms = [named if Alarm.COLOURED in alarm else alarm for alarm in verdict.alarms]
     if is_first:
-        alarms = (after, *(alarm for alarm in alarms if alarm != after))
-    return found.with_alarms(alarms)
+        alarms.sort(key=lambda alarm: alarm != named)
+    return found.with_alarms(tuple(alarms))
 
 
 def _explanation(rows: CandidateRows, worst: UnexplainedForce, delay: str = "") -> str:

@@ -24,6 +24,7 @@ from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.dataset import Dataset, Processing
 from symbid_ros.identification.drive_gains import ConvertedSegments
 from symbid_ros.identification.fast_motion import with_fast_motion
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks, ModelWatch, check_dataset
 from symbid_ros.identification.log_reading import (
     open_logs,
@@ -42,9 +43,9 @@ from symbid_ros.identification.prior_options import (
     with_load_reference,
 )
 from symbid_ros.identification.problem import Truncation
+from symbid_ros.identification.problem_setup import ProblemSetup, first_factors
 from symbid_ros.identification.result_files import check_output
-from symbid_ros.identification.solver import Identification, Solver
-from symbid_ros.identification.solver_setup import SolverSetup, first_factors
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.stored_information import check_layout, columns_of, with_columns
 from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.model.load import model_files
@@ -75,7 +76,7 @@ class LoadedProblem:
         Of these.
     dataset : Dataset
         The log.
-    solver : Solver
+    solved : SolvedProblem
     validation : Dataset or None
         Log on which the number of singular values is chosen.
     tares : mapping of str to Tare
@@ -93,7 +94,7 @@ class LoadedProblem:
     columns: ParameterSet
     prior: Prior
     dataset: Dataset
-    solver: Solver
+    solved: SolvedProblem
     validation: Dataset | None
     tares: Mapping[str, Tare]
     checks: LogChecks = NO_CHECKS
@@ -103,7 +104,7 @@ class LoadedProblem:
     @property
     def parameters(self) -> ParameterSet:
         """The p parameters to identify."""
-        return self.solver.problem.parameters
+        return self.solved.problem.parameters
 
     def with_prior(
         self,
@@ -114,9 +115,9 @@ class LoadedProblem:
         """Return the same log with another prior and, if given, other options and tares."""
         options = options or self.options
         tares = self.tares if tares is None else tares
-        setup = SolverSetup(options, prior, self.inputs, tares, self.checks)
-        solver = setup.solver(self.columns, self.dataset)
-        return replace(self, options=options, prior=prior, solver=solver, tares=tares)
+        setup = ProblemSetup(options, prior, self.inputs, tares, self.checks)
+        solved = setup.solve(self.columns, self.dataset)
+        return replace(self, options=options, prior=prior, solved=solved, tares=tares)
 
     def with_drive_gains(self, joints: tuple[str, ...]) -> "LoadedProblem":
         """Return the same log with the factors of some joints' efforts as unknowns."""
@@ -124,9 +125,9 @@ class LoadedProblem:
 
     def trial_on(self, dataset: Dataset, columns: ParameterSet) -> "LoadedProblem":
         """Return the same problem with another log and its columns, solved to few digits."""
-        setup = SolverSetup(self.options, self.prior, self.inputs, self.tares, self.checks)
-        solver = setup.solver(columns, dataset, is_trial=True)
-        return replace(self, columns=columns, dataset=dataset, solver=solver, is_trial=True)
+        setup = ProblemSetup(self.options, self.prior, self.inputs, self.tares, self.checks)
+        solved = setup.solve(columns, dataset, is_trial=True)
+        return replace(self, columns=columns, dataset=dataset, solved=solved, is_trial=True)
 
     def solve(self, method: Method | None = None) -> Identification:
         """Identify with one method, by default that of the options."""
@@ -156,22 +157,22 @@ class LoadedProblem:
         return replace(found, estimate=replace(found.estimate, provenance=provenance))
 
     @cached_property
-    def _complete_solver(self) -> Solver:
-        """The solver, with motion that is faster than the windows."""
-        return self.solver if self.is_trial else with_fast_motion(self.solver, self.dataset)
+    def _complete_solution(self) -> SolvedProblem:
+        """The solved problem, with motion that is faster than the windows."""
+        return self.solved if self.is_trial else with_fast_motion(self.solved, self.dataset)
 
     def _solve(self, method: Method) -> Identification:
         if method == "map_lmi":
-            return self._complete_solver.map_lmi()
+            return self._complete_solution.map_lmi()
         if method == "map":
-            return self._complete_solver.map()
+            return self._complete_solution.map()
         deviation = None
         if self.options.sensor_std is not None:
             sensors = SensorNoise(*self.options.sensor_std)
             deviation = sensor_row_std(self.parameters.model, self.dataset.samples, sensors)
         validation = () if self.validation is None else self.validation.observations
         truncation = Truncation(self.options.rank, validation, self.options.select_by)
-        return self.solver.truncated(method, truncation, deviation)
+        return self.solved.truncated(method, truncation, deviation)
 
 
 def load_problem(
@@ -230,13 +231,13 @@ def load_problem(
         _check(validation, streams, options, parameters, prior)
     tares = {frame: one for each in tare for frame, one in read_tare(each).items()}
     inputs = tuple(map(str, (*log.files, robot.source, *options.files)))
-    setup = SolverSetup(options, prior, inputs, tares, checks)
-    parameters, dataset, solver = setup.with_found_terms(parameters, dataset)
-    if options.finds_compliance and shows_compliance(solver, dataset):
+    setup = ProblemSetup(options, prior, inputs, tares, checks)
+    parameters, dataset, solved = setup.with_found_terms(parameters, dataset)
+    if options.finds_compliance and shows_compliance(solved, dataset):
         options = replace(options, sensor_errors=(COMPLIANCE,))
-        solver = replace(setup, options=options).solver(parameters, dataset)
+        solved = replace(setup, options=options).solve(parameters, dataset)
     return LoadedProblem(
-        options, inputs, parameters, prior, dataset, solver, validation, tares, checks, digests
+        options, inputs, parameters, prior, dataset, solved, validation, tares, checks, digests
     )
 
 
@@ -298,10 +299,10 @@ def load_information(
     parameters = with_load_reference(parameters, prior, options)
     nothing = Dataset("information", (), Samples.none(robot.joint_names), observations)
     inputs = (robot.source, *map(str, options.files))
-    solver = SolverSetup(options, prior, inputs).solver(parameters, nothing)
+    solved = ProblemSetup(options, prior, inputs).solve(parameters, nothing)
     digests = _digests(robot, options)
     return LoadedProblem(
-        options, inputs, parameters, prior, nothing, solver, None, {}, digests=digests
+        options, inputs, parameters, prior, nothing, solved, None, {}, digests=digests
     )
 
 

@@ -9,6 +9,7 @@ from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.force_errors import RELEVANT
 from symbid_ros.identification.gain_check import Trial, wrist_sensor_alarms, wrong_factors
 from symbid_ros.identification.holdout import hold_out, rest_at_end
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.joint_alarms import with_explained_alarms
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
@@ -20,7 +21,6 @@ from symbid_ros.identification.report_series import (
     report_data,
 )
 from symbid_ros.identification.resting_joints import motionless_joints
-from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import validate_segments
 from symbid_ros.progress import report
 from symbid_ros.signals.segments import split

@@ -17,10 +17,11 @@ from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, Processing, joined_segments
+from symbid_ros.identification.aligned_log import joined_segments
+from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, Processing
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import load_estimated_model
-from symbid_ros.identification.solver import Identification
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload

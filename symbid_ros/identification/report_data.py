@@ -135,7 +135,7 @@ class ParameterSpread:
         Standard deviations before the data; empty if the method has no prior.
     scale_change : (p,) float64
         Change of the parameters with one deviation of the gain that no residual shows; see
-        :class:`symbid_ros.identification.solver.Identification`.
+        :class:`symbid_ros.identification.identification.Identification`.
     """
 
     names: tuple[str, ...]

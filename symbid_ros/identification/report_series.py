@@ -7,7 +7,8 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.diagnosis.stream_checks import StreamChecks
-from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.aligned_log import AlignedLog
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.log_checks import LogChecks
 from symbid_ros.identification.prediction import ForcePredictor
@@ -19,8 +20,8 @@ from symbid_ros.identification.report_data import (
     PredictedLog,
     ReportData,
 )
-from symbid_ros.identification.solver import Identification
-from symbid_ros.identification.validation import PredictedEfforts, validate_segments
+from symbid_ros.identification.validation import validate_segments
+from symbid_ros.identification.validation_result import PredictedEfforts
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
@@ -285,7 +286,7 @@ def report_data(
 ) -> ReportData:
     """Return what a report shows of an identification."""
     names = found.estimate.names
-    prior_std = np.linalg.norm(problem.solver.posterior.prior_factor[: len(names)], axis=1)
+    prior_std = np.linalg.norm(problem.solved.posterior.prior_factor[: len(names)], axis=1)
     change = found.scale_change
     return ReportData(
         forces,

@@ -7,7 +7,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.identification.dataset import Dataset
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.tree import RobotModel
 
 # RMS deviation from the mean position of a joint that rests: rad, and m of a slide.
@@ -27,21 +27,21 @@ def motionless_joints(position: FloatArray, model: RobotModel) -> BoolArray:
 
 
 def unpredicted_at_rest(
-    solver: Solver, dataset: Dataset, residual: Mapping[str, float]
+    solved: SolvedProblem, dataset: Dataset, residual: Mapping[str, float]
 ) -> tuple[str, ...]:
     """Return the joints of a fixed base that do not move and whose efforts are not predicted.
 
     Parameters
     ----------
-    solver : Solver
+    solved : SolvedProblem
         Of the log.
     dataset : Dataset
         The log.
     residual : mapping of str to float
         RMS residual of each coordinate, Nm or N.
     """
-    solved, rows = solver.problem, solver.chosen
-    model = solved.parameters.model
+    problem, rows = solved.problem, solved.chosen
+    model = problem.parameters.model
     if model.floating:
         return ()
     is_resting = motionless_joints(dataset.samples.position, model)
@@ -66,7 +66,7 @@ def unpredicted_at_rest(
         for name, rests, bound in zip(model.joint_names, is_resting, least, strict=True)
         if rests
         # Efforts whose factor is identified are not measured in Nm.
-        and f"{name}/drive_gain" not in solved.sensor_names
+        and f"{name}/drive_gain" not in problem.sensor_names
         and counts.get(name, 0.0) >= FEWEST_ROWS
         and residual.get(name, 0.0) > bound
     )

@@ -21,8 +21,8 @@ from symbid_ros.estimation.archive import (
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate
 from symbid_ros.estimation.estimate_file import load_estimate, write_estimate
 from symbid_ros.estimation.prior_file import load_prior
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.report_data import FILE_NAME as REPORT_DATA
-from symbid_ros.identification.solver import Identification
 from symbid_ros.model.export_mjcf import mjcf_files, replaced_values
 from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import is_mjcf

@@ -18,7 +18,7 @@ from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.estimation.term_evidence import predictive_effects, ripple_torques
 from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
 from symbid_ros.identification.dataset import Dataset
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.ripple import Ripple
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
@@ -38,12 +38,12 @@ LEAST_PASSES = 2.5
 REPLACED = 1e-6
 
 
-def find_ripples(solver: Solver, dataset: Dataset) -> tuple[Ripple, ...]:
+def find_ripples(solved: SolvedProblem, dataset: Dataset) -> tuple[Ripple, ...]:
     """Return the ripples that a log shows, at most one for each joint.
 
     Parameters
     ----------
-    solver : Solver
+    solved : SolvedProblem
         Of the log, with chosen joint terms and without ripples.
     dataset : Dataset
         The log.
@@ -53,15 +53,15 @@ def find_ripples(solver: Solver, dataset: Dataset) -> tuple[Ripple, ...]:
     tuple of Ripple
         Empty if the residuals are white noise.
     """
-    choice = solver.problem.choice
-    if choice is None or choice.parameters.ripples or not leaves_residuals(solver):
+    choice = solved.problem.choice
+    if choice is None or choice.parameters.ripples or not leaves_residuals(solved):
         return ()
-    training = training_part(solver, dataset)
-    likely = _likely_ripples(solver, training, _passes(dataset.segments, solver.chosen.window))
+    training = training_part(solved, dataset)
+    likely = _likely_ripples(solved, training, _passes(dataset.segments, solved.chosen.window))
     if not likely:
         return ()
     parameters = replace(choice.parameters, ripples=likely)
-    trial = try_columns(solver, training, dataset.source, parameters, slips=choice.slips)
+    trial = try_columns(solved, training, dataset.source, parameters, slips=choice.slips)
     if trial is None:
         return ()
     effects = ripple_torques(parameters)
@@ -80,10 +80,10 @@ def find_ripples(solver: Solver, dataset: Dataset) -> tuple[Ripple, ...]:
 
 
 def _likely_ripples(
-    solver: Solver, training: Iterable[Segment], passes: FloatArray
+    solved: SolvedProblem, training: Iterable[Segment], passes: FloatArray
 ) -> tuple[Ripple, ...]:
     """Return the best ripple of each joint (J,) that explains enough of its residuals."""
-    problem, posterior = solver.problem, solver.posterior
+    problem, posterior = solved.problem, solved.posterior
     prior = posterior.prior
     parameters = problem.parameters
     model = parameters.model
@@ -104,7 +104,7 @@ def _likely_ripples(
     moments = np.zeros((model.dof, known + 2 * len(PERIODS) + 1, known + 2 * len(PERIODS) + 1))
     weight = 1 / np.sqrt(posterior.covariance.diagonal())
     for segment in training:
-        for (block,) in windowed_rows(segment, build, (solver.chosen.window,), ()):
+        for (block,) in windowed_rows(segment, build, (solved.chosen.window,), ()):
             used = block.slipping() if choice.slips else block
             error = used.mean.y - used.mean.K[:, :, :known] @ prior.mean
             rows = np.concatenate([used.mean.K, error[:, :, None]], axis=2) * weight[:, None]

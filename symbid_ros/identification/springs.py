@@ -7,34 +7,39 @@ must improve the prediction of rows that are left out.
 import logging
 from dataclasses import replace
 
-from symbid_ros.choices import SPRING
+from symbid_ros.choices import SPRING, Term
 from symbid_ros.estimation.term_evidence import predictive_effects, spring_torques
 from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.resting_joints import motionless_joints
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 
 logger = logging.getLogger(__name__)
 
 
-def shows_springs(solver: Solver, dataset: Dataset) -> bool:
-    """Return whether a log shows the spring of any joint, and log a warning that names these.
+def find_springs(solved: SolvedProblem, dataset: Dataset) -> tuple[Term, ...]:
+    """Return the term of springs if a log shows any, and log a warning that names their joints.
 
     Parameters
     ----------
-    solver : Solver
+    solved : SolvedProblem
         Of the log, with chosen joint terms and without springs.
     dataset : Dataset
         The log.
+
+    Returns
+    -------
+    tuple of str
+        Empty if the residuals are white noise, or springs do not explain them.
     """
-    choice = solver.problem.choice
-    if choice is None or SPRING in choice.parameters.terms or not leaves_residuals(solver):
-        return False
+    choice = solved.problem.choice
+    if choice is None or SPRING in choice.parameters.terms or not leaves_residuals(solved):
+        return ()
     parameters = replace(choice.parameters, terms=(*choice.parameters.terms, SPRING))
-    training = training_part(solver, dataset)
-    trial = try_columns(solver, training, dataset.source, parameters, slips=choice.slips)
+    training = training_part(solved, dataset)
+    trial = try_columns(solved, training, dataset.source, parameters, slips=choice.slips)
     if trial is None:
-        return False
+        return ()
     # Where a joint rests, a spring is a constant torque, and noise of the encoder bends it.
     is_resting = motionless_joints(dataset.samples.position, parameters.model)
     springs = {
@@ -44,7 +49,7 @@ def shows_springs(solver: Solver, dataset: Dataset) -> bool:
     }
     joints = predictive_effects(trial.found, trial.chosen, springs, trial.free)
     if not joints:
-        return False
+        return ()
     named = (parameters.model.joint_names[joint] for joint in sorted(joints))
     logger.warning(
         "%s: springs act on %s, and are identified as well; a live run needs `joint_terms` that "
@@ -52,4 +57,4 @@ def shows_springs(solver: Solver, dataset: Dataset) -> bool:
         dataset.source,
         ", ".join(named),
     )
-    return True
+    return (SPRING,)

@@ -6,9 +6,9 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.estimation.information import random_motions
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
+from symbid_ros.estimation.row_layout import random_motions
 from symbid_ros.model.parameters import ParameterSet
 
 # Deviation of a fixed term, as a share of its prior deviation: far below what any data resolve.

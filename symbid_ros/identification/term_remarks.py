@@ -7,8 +7,8 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.regressor import COULOMB_SPEED, equation_of_motion
-from symbid_ros.estimation.information import random_motions
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.row_layout import random_motions
 from symbid_ros.model.parameters import ParameterSet
 
 # Windows in which a joint slips, below which nothing is said about its friction.

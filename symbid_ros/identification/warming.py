@@ -14,7 +14,7 @@ from symbid_ros.estimation.group_moments import Grouping
 from symbid_ros.estimation.term_evidence import changing_friction, predictive_effects
 from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
 from symbid_ros.identification.dataset import Dataset
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.warming import MOST_PARTS, WARMING_TERMS, Course, Warming, courses_of
 from symbid_ros.signals.segments import Segment, stamp_spans
@@ -37,12 +37,12 @@ def is_too_short(courses: Iterable[Course]) -> bool:
     return sum(stop - start for start, stop in courses) < LEAST_WARMING
 
 
-def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
+def find_warming(solved: SolvedProblem, dataset: Dataset) -> tuple[Warming, ...]:
     """Return the friction that changes during a log.
 
     Parameters
     ----------
-    solver : Solver
+    solved : SolvedProblem
         Of the log, with chosen joint terms and constant friction.
     dataset : Dataset
         The log.
@@ -52,8 +52,8 @@ def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
     tuple of Warming
         Empty if the residuals are white noise, or the log is short.
     """
-    choice = solver.problem.choice
-    if choice is None or choice.parameters.warming or not leaves_residuals(solver):
+    choice = solved.problem.choice
+    if choice is None or choice.parameters.warming or not leaves_residuals(solved):
         return ()
     courses = courses_of(stamp_spans(dataset.segments))
     if is_too_short(courses):
@@ -67,7 +67,7 @@ def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
             MOST_PARTS,
         )
         return ()
-    training = training_part(solver, dataset)
+    training = training_part(solved, dataset)
     model = choice.parameters.model
     sensors = {
         joint
@@ -81,7 +81,7 @@ def find_warming(solver: Solver, dataset: Dataset) -> tuple[Warming, ...]:
     # slow error: it has to predict parts of the log that are long compared with that.
     grouping = Grouping.contiguous(stamp_spans(training))
     trial = try_columns(
-        solver, training, dataset.source, parameters, slips=choice.slips, grouping=grouping
+        solved, training, dataset.source, parameters, slips=choice.slips, grouping=grouping
     )
     if trial is None:
         return ()

@@ -170,7 +170,7 @@ class _Identifier:
     def solve(self) -> tuple[CandidateModel, RobotUncertainty] | None:
         """Return the model identified so far and its uncertainty; None before there is one."""
         found = self.live.solve()
-        known = None if found is None else robot_uncertainty(found, self.live.posture())
+        known = None if found is None else robot_uncertainty(found, self.live.intake.posture())
         return None if found is None or known is None else (candidate_model(found, known), known)
 
 
@@ -335,7 +335,7 @@ class LearningRun:
         messages = list(self._sensors.messages(instant))
         if self._identifier is not None:
             for topic, message in zip(self._sensors.names, messages, strict=True):
-                self._identifier.live.feed(topic, message)
+                self._identifier.live.intake.feed(topic, message)
         if bag is not None:
             messages += self._truth.messages(instant)
             for channel, message in zip(self._channels, messages, strict=True):

@@ -13,19 +13,16 @@ from statistics import median
 from symbid_ros.arrays import concatenated
 from symbid_ros.bags import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
+from symbid_ros.diagnosis.effort_findings import GAINS, MILLI, common_unit, may_be_in_milli
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, has_unsigned_efforts
-from symbid_ros.diagnosis.forces import EXPLAINED, GAINS, MILLI, common_unit, may_be_in_milli
+from symbid_ros.diagnosis.forces import EXPLAINED
 from symbid_ros.diagnosis.joint_checks import DEGREES
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.errors import SymbidError
-from symbid_ros.identification.base_gravity import (
-    FoundGravity,
-    find_gravity,
-    searches_gravity,
-)
+from symbid_ros.identification.aligned_log import AlignedLog
+from symbid_ros.identification.base_gravity import FoundGravity, find_gravity, searches_gravity
 from symbid_ros.identification.contacts import with_robot_options
-from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.joint_readings import JointReadings, find_readings
 from symbid_ros.identification.log_reading import MINUTE, first_segments
 from symbid_ros.identification.position_units import find_degrees

@@ -22,7 +22,7 @@ from symbid_ros.offline.base_topics import contact_flags, odometry_topics, pose_
 from symbid_ros.offline.log_corrections import LogCorrections
 from symbid_ros.offline.name_matching import joints_by_robot, match_names, most_similar
 from symbid_ros.offline.robot_setup_file import RobotSetup
-from symbid_ros.signals.alignment import suggested_prefix
+from symbid_ros.signals.required_sensors import suggested_prefix
 from symbid_ros.signals.streams import JointStream, Streams
 
 SPAN = 4 * 10**9  # ns of a log that show its names

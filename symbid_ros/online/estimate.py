@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from symbid_ros.identification.change_monitor import Change
-from symbid_ros.identification.solver import Identification
+from symbid_ros.identification.identification import Identification
 from symbid_ros.model.parameters import ParameterSet
 
 

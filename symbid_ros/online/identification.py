@@ -8,13 +8,12 @@ with their block.
 import logging
 from collections import deque
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.errors import DataError, SymbidError
+from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
@@ -27,12 +26,12 @@ from symbid_ros.identification.accumulator import (
     build_block_rows,
 )
 from symbid_ros.identification.change_monitor import Change, ChangeMonitor
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.problem import Problem, Truncation
-from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.tares import Tare
 from symbid_ros.identification.window_comparison import WindowSelector
-from symbid_ros.messages.topics import SelectedTopics, Topic
-from symbid_ros.messages.types import BOOL
+from symbid_ros.messages.topics import SelectedTopics
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker
 from symbid_ros.online.changed_priors import ChangedPriors
@@ -41,16 +40,14 @@ from symbid_ros.online.initial_state import InitialState
 from symbid_ros.online.live_calibration import FEW, MOST_KEPT, LiveCalibration
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.live_terms import LiveTerms
-from symbid_ros.online.message_check import MessageCheck
+from symbid_ros.online.message_intake import MessageIntake
 from symbid_ros.online.weight_check import WeightCheck, setup_fault
-from symbid_ros.signals.alignment import joint_columns
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suitable_windows
 
 logger = logging.getLogger(__name__)
 
 RECENT_FAULTS = 10
-POSTURE_TIME = 50_000_000  # ns; every part of a robot publishes its joints within this time
 
 
 @dataclass(frozen=True)
@@ -91,14 +88,12 @@ class OnlineIdentification:
 
     Attributes
     ----------
+    intake : MessageIntake
+        Takes the messages.
     faults : deque of str
         Errors of the latest lost blocks.
     lost_blocks : int
         Number of blocks that could not be used.
-    clock_jumps : int
-        Number of times a topic's clock jumped back.
-    checks : dict of Topic to MessageCheck
-        Validity check of each topic, which counts dropped messages.
     setup_fault : str
         Why these topics and options cannot give an estimate; empty if they can.
     """
@@ -115,17 +110,9 @@ class OnlineIdentification:
         self._terms = LiveTerms(self._parameters)
         self._scheduler = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
-        self.lost_blocks = self.clock_jumps = 0
+        self.lost_blocks = 0
         model = self._parameters.model
-        self.checks = {
-            topic: MessageCheck(
-                topic,
-                model,
-                selected.mapping,
-                takes_any_frame=selected.takes_any_frame(topic),
-            )
-            for topic in selected.all
-        }
+        self.intake = MessageIntake(selected, model, self.streams, self._restart_clock)
         self.setup_fault = setup_fault(selected, model)
         self._weight = WeightCheck(self._parameters, self.streams, self.setup_fault)
         self._posterior: Posterior | None = None
@@ -179,47 +166,6 @@ class OnlineIdentification:
         """
         return self.can_tell_change or not self._parameters.candidates
 
-    def posture(self) -> FloatArray | None:
-        """Return the newest joint positions (J,), rad or m; None while there are none."""
-        model = self._parameters.model
-        try:
-            joints = self.streams.newest_joints(POSTURE_TIME)
-            columns = joint_columns(joints.names, model, joints.topic)
-        except SymbidError:  # no message yet, or one without a joint, which is reported elsewhere
-            return None
-        position = joints.position[-1:, columns]
-        return model.apply_mimics(position)[0] if np.all(np.isfinite(position)) else None
-
-    def feed(self, topic: Topic, payload: bytes) -> None:
-        """Add a serialised message of a topic; an invalid one is dropped and counted."""
-        if topic.msgtype == BOOL:
-            with suppress(DataError):
-                self.streams.add_flag(topic, payload)
-            return
-        for stamp, usable in self.checks[topic].take(payload):
-            self._feed(topic, stamp, usable)
-
-    def _feed(self, topic: Topic, stamp: int, payload: bytes) -> None:
-        streams = self._scheduler.streams
-        if streams.jumps_back(topic, stamp):
-            logger.warning(
-                "%s: its clock jumps back from %.3f s; alignment restarts and all processed data "
-                "are kept, so that a bag that is played again counts twice",
-                topic.name,
-                (streams.buffers[topic].newest or 0) * 1e-9,
-            )
-            self.clock_jumps += 1
-            self._restart_clock()
-        elif ahead := streams.jump_ahead(topic, stamp):
-            streams.buffers[topic].pauses += 1
-            logger.warning(
-                "%s: its stamps jump ahead by %.1f s: its publisher paused, or its clock was set; "
-                "the data of both sides are used",
-                topic.name,
-                ahead * 1e-9,
-            )
-        streams.add(topic, stamp, payload)
-
     def advance(self) -> None:
         """Queue complete blocks and add the rows of processed ones."""
         for span in self._scheduler.complete_blocks():
@@ -267,19 +213,19 @@ class OnlineIdentification:
         open_block = self._scheduler.open_block()
         if open_block is not None and open_block.segments:
             self._prepare_rows(open_block)
-        solver = self._exact_solver(open_block)
-        while solver is not None and self._relinearize(solver.posterior):
+        solved = self._exact_solution(open_block)
+        while solved is not None and self._relinearize(solved.posterior):
             self._add_processed(self._worker.finish())
-            solver = self._exact_solver(open_block)
+            solved = self._exact_solution(open_block)
         self._solved = self.streams.complete_until, self._accumulator.blocks
         return (
             None
-            if solver is None
-            else self._estimate(solver, self._monitor.change, with_verdict=True)
+            if solved is None
+            else self._estimate(solved, self._monitor.change, with_verdict=True)
         )
 
-    def _exact_solver(self, open_block: TimeSpan | None) -> Solver | None:
-        """Return the solver of all blocks and the open one; None if there are too few data."""
+    def _exact_solution(self, open_block: TimeSpan | None) -> SolvedProblem | None:
+        """Solve all blocks and the open one; None if there are too few data."""
         blocks = self._accumulator.blocks
         if open_block is not None and open_block.segments:
             blocks = self._worker.with_block(blocks, open_block)
@@ -288,7 +234,7 @@ class OnlineIdentification:
         if not problem.observations:
             return None
         self._check_weight(problem.observations[0])
-        return Solver.of(self._terms.chosen_anew(problem))
+        return SolvedProblem.of(self._terms.chosen_anew(problem))
 
     def _relinearize(self, found: Posterior) -> bool:
         """Begin to linearize the rows about an estimate if it moved; return whether it did."""
@@ -317,19 +263,19 @@ class OnlineIdentification:
         count, tested = self._accumulator.blocks.count, self._is_coupled
         is_coupled = tested[1] if tested is not None and tested[0] == count else None
         start = self._start(problem.prior)
-        solver = Solver.approximate(problem, now, start, is_coupled=is_coupled)
-        self._is_coupled = count, solver.chosen.is_coupled
-        self._posterior = solver.posterior
-        self._relinearize(solver.posterior)
+        solved = SolvedProblem.approximate(problem, now, start, is_coupled=is_coupled)
+        self._is_coupled = count, solved.chosen.is_coupled
+        self._posterior = solved.posterior
+        self._relinearize(solved.posterior)
         # What is known of the noise comes with the first block. Until then deviations are too small
         # for a comparison, except with the wide prior of the start.
         change = self._monitor.change
         if new and (not self._changed.has_restarted or self._accumulator.blocks.count):
             rows = [block.slipping() for block in new] if self._terms.slips else new
-            self._monitor.update(rows, solver.posterior)
+            self._monitor.update(rows, solved.posterior)
             change = self._monitor.change  # which this estimate, also of older data, contradicts
             self._follow_change()
-        return self._estimate(solver, change, with_verdict=False)
+        return self._estimate(solved, change, with_verdict=False)
 
     def _start(self, prior: Prior) -> FloatArray | None:
         """Return the last estimate, or else the mean, of a prior's parameters."""
@@ -419,21 +365,21 @@ class OnlineIdentification:
             self._monitor.restart()
 
     def _estimate(
-        self, solver: Solver, change: Change | None, *, with_verdict: bool
+        self, solved: SolvedProblem, change: Change | None, *, with_verdict: bool
     ) -> OnlineEstimate:
-        found = self._identify(solver, with_verdict=with_verdict)
+        found = self._identify(solved, with_verdict=with_verdict)
         # Truncated methods have no covariance, and may be far from what the data and prior say.
-        value = solver.posterior.mean if found.factor is None else found.unknowns
-        window = solver.chosen.window
+        value = solved.posterior.mean if found.factor is None else found.unknowns
+        window = solved.chosen.window
         rows = RowSettings("weak", window=window)
         found = replace(found, estimate=replace(found.estimate, rows=rows))
         return OnlineEstimate(
             self._changed.compared_with_the_first(found),
-            solver.problem.parameters,
+            solved.problem.parameters,
             self._until,
             window,
-            solver.alarms(value),
-            any(one.is_gross for one in solver.unexplained[:1]),
+            solved.alarms(value),
+            any(one.is_gross for one in solved.unexplained[:1]),
             change,
             None if change is not None else self._monitor.followed,
         )
@@ -460,10 +406,6 @@ class OnlineIdentification:
         self._worker.restart(nothing, equation_rows(self._parameters), self._windows)
         self._accumulator.restart(nothing, window)
         self._until = 0
-
-    def expect_pause(self) -> None:
-        """Accept that messages are missing before the next one of each topic."""
-        self._scheduler.streams.expect_pause()
 
     def set_tares(self, tares: Mapping[str, Tare]) -> str:
         """Use what unloaded wrench sensors read, by frame, as priors of their offsets.
@@ -536,10 +478,10 @@ class OnlineIdentification:
         if not self._options.unchecked:
             self._weight.require(shortest, self._problem.prior)
 
-    def _identify(self, solver: Solver, *, with_verdict: bool) -> Identification:
+    def _identify(self, solved: SolvedProblem, *, with_verdict: bool) -> Identification:
         method = self._options.method
         if method == "map_lmi":
-            return solver.map_lmi(with_verdict=with_verdict)
+            return solved.map_lmi(with_verdict=with_verdict)
         if method == "map":
-            return solver.map(with_verdict=with_verdict)
-        return solver.truncated(method, Truncation(self._options.rank))
+            return solved.map(with_verdict=with_verdict)
+        return solved.truncated(method, Truncation(self._options.rank))

@@ -8,9 +8,9 @@ from pathlib import Path
 from symbid_ros.choices import KINEMATIC_ERRORS
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.provenance import InputFile, digest, list_inputs
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prior_options import (

@@ -267,7 +267,7 @@ class IdentifierDiagnostics:
         values: dict[str, object] = {}
         if not self._is_enabled:
             self._monitor.pause()
-        faults_by_topic = {**self._monitor.check(live.streams, live.checks), **setup_faults}
+        faults_by_topic = {**self._monitor.check(live.streams, live.intake.checks), **setup_faults}
         for topic, buffer in live.streams.buffers.items():
             name = topic.name
             before, received = self._counts.get(name, 0), buffer.received
@@ -282,9 +282,9 @@ class IdentifierDiagnostics:
             values[f"{name}/pauses"] = buffer.pauses
             values[f"{name}/late"] = buffer.late
             values[f"{name}/disordered"] = buffer.disordered
-            values[f"{name}/dropped"] = live.checks[topic].dropped
+            values[f"{name}/dropped"] = live.intake.checks[topic].dropped
             values[f"{name}/unstamped"] = buffer.unstamped
-        values |= {"clock_jumps": live.clock_jumps, "stale": live.streams.stale}
+        values |= {"clock_jumps": live.intake.clock_jumps, "stale": live.streams.stale}
         values["lost_blocks"] = live.lost_blocks
         faults = [*faults_by_topic.values(), *list(live.faults)[-1:]]
         faults += self._newly_dropped(live, faults_by_topic)
@@ -298,7 +298,7 @@ class IdentifierDiagnostics:
         Topics with a reported fault are left out.
         """
         dropped = []
-        for topic, check in live.checks.items():
+        for topic, check in live.intake.checks.items():
             new = check.dropped - self._dropped.get(topic.name, 0)
             self._dropped[topic.name] = check.dropped
             if new and topic.name not in reported:

@@ -5,10 +5,8 @@ import logging
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
 from threading import Event
 from typing import Any
 
@@ -48,6 +46,7 @@ from symbid_ros.ros.parameters import ParameterError, watch
 from symbid_ros.ros.raw_subscription import MessageReceiver
 from symbid_ros.ros.reporting import FaultReporter, StatusPublisher, collected_warnings
 from symbid_ros.ros.sensor_topics import SensorTopics, resolve_topics
+from symbid_ros.ros.service_requests import ServiceRequests
 
 logger = logging.getLogger(__name__)
 
@@ -57,7 +56,6 @@ LONGEST_DRAIN = 1.0  # s of reading at the end, or `save_time` if that is longer
 # Cost of an exact estimate, relative to the estimates in between.
 EXACT_COST = 4.0
 RECENT_SOLVES = 5  # of which the shortest counts: choosing windows and joint terms takes longer
-ANSWER_POLL = 0.1  # s
 CHANGE = "change of the robot"  # what is reported as resolved
 CONTACTS = "contact forces"
 TARE_TIME = 2.0  # s over which the readings of unloaded sensors are averaged
@@ -66,29 +64,6 @@ LATER_DISCOVERY_PERIOD = 1.0  # s afterwards
 MISSING_PERIOD = 2.0  # s until missing topics are reported
 WARNING_PERIOD = 10.0  # s between two warnings
 DESCRIPTION_PERIOD = 10.0  # s; viewers reload the whole robot for each description
-
-Answer = tuple[bool, str]
-
-
-class _ServiceRequest:
-    """Work that a service queues for the identifying thread, and whose answer it awaits."""
-
-    def __init__(self, work: Callable[[], str]) -> None:
-        self._work, self._done = work, Event()
-        self._answer: Answer = (False, "the identifier is shutting down")
-
-    def perform(self) -> None:
-        try:
-            self._answer = (True, self._work())
-        except (SymbidError, OSError) as error:
-            self._answer = (False, str(error))
-        self._done.set()
-
-    def await_answer(self, ended: Event) -> Answer:
-        # A request that arrives during shutdown is never performed.
-        while not self._done.wait(ANSWER_POLL) and not ended.is_set():
-            pass
-        return self._answer
 
 
 class OnlineIdentifier:
@@ -127,8 +102,7 @@ class OnlineIdentifier:
             values["settle"],
             values["queue_depth"],
         )
-        self._requests: SimpleQueue[_ServiceRequest] = SimpleQueue()
-        self._ended = Event()
+        self._requests = ServiceRequests()
         self._is_enabled = True
         self._identification: OnlineIdentification | None = None
         self._selected: SelectedTopics | None = None
@@ -150,7 +124,7 @@ class OnlineIdentifier:
             ("save", self._save),
             ("tare", self._tare),
         ):
-            node.create_service(Trigger, f"~/{service}", self._trigger_handler(work))
+            node.create_service(Trigger, f"~/{service}", self._requests.handler(work))
         node.create_service(SetBool, "~/enable", self._enable)
         watch(node, PARAMETERS, self._change_parameters)
         self._status_publisher = StatusPublisher(node, self._diagnostics.statuses, model.name)
@@ -169,7 +143,7 @@ class OnlineIdentifier:
             self._save_after_error()
             raise
         finally:
-            self._ended.set()
+            self._requests.ended.set()
             if self._identification is not None:
                 self._identification.close()
         if self._newest is None:
@@ -183,7 +157,7 @@ class OnlineIdentifier:
             if time.monotonic() - began >= MISSING_PERIOD and self._identification is None:
                 self._fault_reporter.update(missing)
             self._diagnostics.set_waiting(self._sensors.found, missing.values())
-            self._perform_requests()
+            self._requests.perform()
             stop.wait(DISCOVERY_PERIOD)
         if self._identification is not None:
             self._fault_reporter.update({})
@@ -228,7 +202,7 @@ class OnlineIdentifier:
         while not stop.is_set():
             count = self._receive()
             self._live.advance()
-            self._perform_requests()
+            self._requests.perform()
             now = time.monotonic()
             if now - discovered >= LATER_DISCOVERY_PERIOD:
                 self._update_topics()
@@ -270,7 +244,7 @@ class OnlineIdentifier:
             self._taken = taken
         for topic, message in messages:
             if self._is_enabled:
-                self._live.feed(topic, message.payload)
+                self._live.intake.feed(topic, message.payload)
         return sum(message.received <= until for _, message in messages)
 
     def _receive_until(self, until: int, timeout: float = float("inf")) -> bool:
@@ -292,7 +266,9 @@ class OnlineIdentifier:
                 raise
             return None
         spent = time.monotonic() - began
-        known = None if estimate is None else robot_uncertainty(estimate, self._live.posture())
+        known = None
+        if estimate is not None:
+            known = robot_uncertainty(estimate, self._live.intake.posture())
         self._diagnostics.set_estimate(self._live, estimate, known, spent, self._taken)
         if estimate is not None:
             change = estimate.change
@@ -317,7 +293,8 @@ class OnlineIdentifier:
     def _publish(self, newest: OnlineEstimate, *, describe: bool) -> None:
         estimate = newest.found.estimate
         self._topics.publish(estimate, Time(nanoseconds=newest.until).to_msg())
-        self._markers.publish(estimate, newest.change or newest.followed, self._live.posture())
+        posture = self._live.intake.posture()
+        self._markers.publish(estimate, newest.change or newest.followed, posture)
         now = time.monotonic()
         if describe or now - self._described >= DESCRIPTION_PERIOD:
             self._topics.describe(export_urdf(estimate, newest.parameters))
@@ -370,8 +347,9 @@ class OnlineIdentifier:
         live, selected = self._live, self._selected
         assert selected is not None  # it is found together with the identification
         self._receive_until(time.time_ns())
-        recording, deadline = TareRecording(selected, live.checks), time.monotonic() + TARE_TIME
-        while time.monotonic() < deadline and not self._ended.is_set():
+        recording = TareRecording(selected, live.intake.checks)
+        deadline = time.monotonic() + TARE_TIME
+        while time.monotonic() < deadline and not self._requests.ended.is_set():
             _, messages = self._receiver.take()
             for topic, message in messages:
                 recording.add(topic, message.payload)
@@ -469,7 +447,7 @@ class OnlineIdentifier:
     def _change_parameters(self, live: dict[str, Any]) -> None:
         self._period = live["solve_period"]
         # The identifying thread makes the change, because it may be processing blocks.
-        self._requests.put(_ServiceRequest(lambda: self._set_memory(live["memory"])))
+        self._requests.put(lambda: self._set_memory(live["memory"]))
 
     def _set_memory(self, memory: float) -> str:
         self._pace = replace(self._pace, memory=memory or float("inf"))
@@ -477,29 +455,14 @@ class OnlineIdentifier:
             self._identification.set_memory(self._pace.memory)
         return f"memory is {memory:g} s" if memory else "data are never forgotten"
 
-    def _trigger_handler(
-        self, work: Callable[[], str]
-    ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        def handle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            request = _ServiceRequest(work)
-            self._requests.put(request)
-            response.success, response.message = request.await_answer(self._ended)
-            return response
-
-        return handle
-
     def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data and not self._is_enabled and self._identification is not None:
-            self._identification.expect_pause()
+            self._identification.streams.expect_pause()
         self._is_enabled = bool(request.data)
         self._diagnostics.set_enabled(self._is_enabled)
         response.success = True
         response.message = "identifying" if request.data else "messages are ignored"
         return response
-
-    def _perform_requests(self) -> None:
-        while not self._requests.empty():
-            self._requests.get().perform()
 
 
 def _read_tares(

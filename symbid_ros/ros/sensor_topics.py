@@ -22,7 +22,7 @@ from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.message_check import known_frames
 from symbid_ros.ros.raw_subscription import PolledGroup, RawSubscription, subscribe
-from symbid_ros.signals.alignment import suggested_prefix
+from symbid_ros.signals.required_sensors import suggested_prefix
 
 JOINTS, IMU_DATA = "joint_states", "imu/data"
 Graph = Mapping[str, Sequence[str]]

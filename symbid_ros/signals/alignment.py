@@ -13,13 +13,11 @@ from functools import cached_property
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, distinct
-from symbid_ros.dynamics.unmeasured_contacts import MOST_FLAGGED
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.options import robot_file_line
-from symbid_ros.signals.base_pose import PoseStream
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
 from symbid_ros.signals.joint_clock import sampled_joints
+from symbid_ros.signals.required_sensors import check_sensors
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.splines import interpolating_spline
 from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
@@ -125,75 +123,8 @@ def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     ModelError
         When a joint or a sensor's frame is not in the model.
     """
-    if fault := missing_imu(streams, model):
-        raise DataError(f"{streams.source}: {fault}", "E307")
-    sensors: list[ImuStream | WrenchStream | PoseStream] = [*streams.wrenches]
-    if model.floating:
-        sensors = [*streams.imus, *streams.poses, *sensors]
-    for sensor in sensors:
-        _check_frame(sensor, model, streams.source)
-    for fault in wrist_sensor_faults(streams, model):
-        raise DataError(f"{streams.source}: {fault}", "E324")
-    for fault in contact_flag_faults(streams, model):
-        raise DataError(f"{streams.source}: {fault}", "E366")
+    check_sensors(streams, model)
     return align(streams, model)
-
-
-def missing_imu(streams: Streams, model: RobotModel) -> str:
-    """Return that a floating robot lacks an IMU, and the remedy; empty if it has what it needs."""
-    if not model.floating or streams.imus:
-        return ""
-    fault = f"the base of {model.source} floats, but there is no "
-    if streams.is_arrays:
-        fault += (
-            "array of an IMU; give Log.from_arrays imus={FRAME: values} with (N, 6) values of "
-            "angular velocity and specific force, or poses={FRAME: values} with (N, 7) values of "
-            "position and quaternion xyzw, or load the model with"
-        )
-    else:
-        fault += (
-            "topic of type sensor_msgs/msg/Imu; record the IMU, name the topic of a measured pose "
-            "(`pose_topic`), or give"
-        )
-    return f"{fault} `base` fixed if it is bolted down"
-
-
-def wrist_sensor_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
-    """Yield what is wrong with each wrist sensor whose frame not exactly one topic has."""
-    for frame in model.wrist_sensors:
-        topics = [one.topic for one in streams.wrenches if one.frame_id == frame]
-        if len(topics) == 1:
-            continue
-        others = sorted({one.frame_id for one in streams.wrenches} - {frame})
-        nothing = "no array of wrenches" if streams.is_arrays else "no WrenchStamped topic"
-        found = f"{' and '.join(topics)} have" if topics else f"{nothing} has"
-        also = f" (others have {', '.join(others)})" if others else ""
-        action = "record its topic, or correct `wrist_sensor`"
-        if streams.is_arrays:
-            action = "give Log.from_arrays wrenches={FRAME: values}, or correct `wrist_sensor`"
-        if others:
-            action += f", or write {robot_file_line('wrist_sensor', *others)}"
-        if topics:
-            line = robot_file_line("wrench_topic", topics[0])
-            action = f"name one of them by `wrench_topic`, or write {line}"
-        yield f"{found} the frame {frame} of the wrist sensor{also}; {action}"
-
-
-def contact_flag_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
-    """Yield what is wrong with each topic of contact flags that belongs to no named contact."""
-    names = () if model.contacts is None else model.contacts.frames
-    for one in streams.flags:
-        if one.frame_id not in names:
-            named = ", ".join(names) or "none"
-            yield (
-                f"{one.topic}: its flags are for {one.frame_id}, but the named contacts are "
-                f"{named}; add {one.frame_id} to `contact`, or correct `contact_flag`, or write "
-                f"{robot_file_line('contact', *names, one.frame_id)}"
-            )
-    if streams.flags and len(names) > MOST_FLAGGED:
-        yield (
-            f"flags of more than {MOST_FLAGGED} contacts cannot be used; leave `contact_flag` out"
-        )
 
 
 def _touching(streams: Streams, grid: IntArray, model: RobotModel) -> BoolArray | None:
@@ -227,36 +158,6 @@ def _check_flight(segment: Segment, source: str) -> None:
             "`contact_flag`, or name all contacts in `contact`",
             "E368",
         )
-
-
-def _check_frame(
-    sensor: ImuStream | WrenchStream | PoseStream, model: RobotModel, source: str
-) -> None:
-    """Check that the model has a sensor's frame; if not, suggest the prefix to remove."""
-    frame = sensor.frame_id
-    try:
-        model.frame(frame)
-    except ModelError as error:
-        prefix = suggested_prefix(frame, model)
-        if not prefix:
-            raise ModelError(
-                f"{source}: {sensor.topic}: {error}, or give `rename_frame` {frame}:=NAME, or "
-                f"write {robot_file_line('rename_frame', f'{frame}:=NAME')}",
-                "E308",
-            ) from error
-        raise ModelError(
-            f"{source}: {sensor.topic}: frame {frame!r} is not in model {model.source}, but "
-            f"{frame.removeprefix(prefix)!r} is; give `frame_prefix` {prefix}, or write "
-            f"frame_prefix: {prefix} in robot.yaml",
-            "E308",
-        ) from error
-
-
-def suggested_prefix(frame: str, model: RobotModel) -> str:
-    """Return the prefix of a sensor's frame without which the model has it; empty if none."""
-    known = {*(one.name for one in model.frames), *model.link_names}
-    cuts = [index + 1 for index, letter in enumerate(frame) if letter == "/"]
-    return next((frame[:cut] for cut in cuts if frame[cut:] in known), "")
 
 
 def resampling_margin(topics: Iterable[IntArray]) -> int:

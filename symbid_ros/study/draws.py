@@ -21,7 +21,7 @@ from symbid_ros.identification.evaluation import MotionEvaluator, link_errors
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem, Truncation
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
@@ -97,15 +97,15 @@ def _truncated_estimates(
             folder.rows(log, log.sensors, cutoff),
             validation if plan.z.using == "validation" else None,
         )
-        solver = None
+        solved = None
         if rows.validation is None:
-            solver = Solver.of(Problem((rows.training,), nominal_parameters(log), prior))
+            solved = SolvedProblem.of(Problem((rows.training,), nominal_parameters(log), prior))
         for method in TRUNCATED:
             if method not in plan.methods:
                 continue
             case = Case(data, str(spread), method, cutoff)
-            if solver is not None:
-                estimate = solver.truncated(method, Truncation()).estimate
+            if solved is not None:
+                estimate = solved.truncated(method, Truncation()).estimate
                 estimates[case] = estimate.value, estimate.rank
             elif rows.validation is not None:
                 problem = rows.least_squares.scaled(prior, method)
@@ -127,11 +127,11 @@ def _gaussian_estimates(
         options = replace(
             problem.options, total_mass=weighed, total_mass_std=WEIGHING_STD, tare=(tare,)
         )
-        solver = problem.with_prior(prior, options, _tares(tare)).solver
+        solved = problem.with_prior(prior, options, _tares(tare)).solved
     else:
         rows = _archive(folder.rows(log, log.sensors, None))
-        solver = Solver.of(Problem(rows, nominal_parameters(log), prior))
-    solve = {"map": lambda: solver.posterior.mean, "map_lmi": solver.consistent_unknowns}
+        solved = SolvedProblem.of(Problem(rows, nominal_parameters(log), prior))
+    solve = {"map": lambda: solved.posterior.mean, "map_lmi": solved.consistent_unknowns}
     count = len(nominal_parameters(log))
     return {Case(data, str(spread), method): (solve[method]()[:count], None) for method in methods}
 

@@ -19,8 +19,8 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import DAMPING, annihilator
 from symbid_ros.errors import StudyError
-from symbid_ros.estimation.information import RowLayout, random_motions
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.row_layout import RowLayout, random_motions
 from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, Dataset, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel

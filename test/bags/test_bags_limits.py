@@ -4,6 +4,7 @@ import os
 import struct
 import subprocess
 import sys
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -320,14 +321,17 @@ def test_data_section_is_compared_with_its_checksum(tmp_path: Path) -> None:
     assert "data section does not match its checksum" in refusal(file)
 
 
-def test_chunks_without_checksum_are_counted(log: Path, tmp_path: Path) -> None:
-    checked = [*read_mcap_blocks(log / "log_0.mcap")]
-    assert sum(block.chunks for block in checked) > 1
-    assert sum(block.unchecked_chunks for block in checked) == 0
+def test_chunks_without_checksum_beside_others_are_reported(
+    log: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     raw = message()
-    file = mcap(tmp_path / "log.mcap", announced(), *[chunk(raw, len(raw), "")] * 3)
-    (block,) = read_mcap_blocks(file)
-    assert (block.chunks, block.unchecked_chunks) == (3, 3)
+    checked, bare = (chunk(raw, len(raw), "", crc) for crc in (zlib.crc32(raw), 0))
+    all_bare = mcap(tmp_path / "bare.mcap", announced(), bare, bare)
+    assert [*read_mcap_blocks(log / "log_0.mcap")]
+    assert [*read_mcap_blocks(all_bare)]
+    assert "checksum" not in caplog.text
+    assert [*read_mcap_blocks(mcap(tmp_path / "log.mcap", announced(), checked, bare, bare))]
+    assert "2 of 3 chunks have no checksum" in caplog.text
 
 
 def test_missing_chunk_is_reported(log: Path, caplog: pytest.LogCaptureFixture) -> None:

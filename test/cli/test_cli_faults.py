@@ -10,10 +10,10 @@ import pytest
 
 from symbid_ros.cli.main import main
 from symbid_ros.estimation.archive import write_archive
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import model_prior
 from symbid_ros.estimation.prior_file import write_prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file

@@ -7,17 +7,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from symbid_ros.diagnosis.effort_findings import (
+    SignConversions,
+    _similar_groups,
+    common_unit,
+    effort_findings,
+)
 from symbid_ros.diagnosis.findings import Kind, Severity
 from symbid_ros.diagnosis.forces import (
-    SignConversions,
-    _effort_findings,
     _is_known,
     _median_gain,
     _reference_gain,
-    _similar_groups,
     _wrench_findings,
     check_forces,
-    common_unit,
     reversed_imu_finding,
 )
 from symbid_ros.diagnosis.gain_problem import GainEstimate
@@ -295,7 +297,7 @@ def test_a_wrench_is_judged_by_sign_frame_and_gain(turn, common, kinds):
 )
 def test_efforts_are_judged_by_sign_and_gain(efforts, common, expected):
     gains = {str(i): each for i, each in enumerate(efforts)}
-    found = list(_effort_findings("/joints", gains, common))
+    found = list(effort_findings("/joints", gains, common))
     assert [one.kind for one in found] == [kind for kind, _ in expected]
     for one, (kind, names) in zip(found, expected, strict=True):
         if kind is Kind.TORQUE_SIGN:
@@ -309,37 +311,37 @@ def test_efforts_are_judged_by_sign_and_gain(efforts, common, expected):
 
 
 def test_all_joints_are_named_together_from_three_on():
-    (signs,) = _effort_findings("/joints", known(-1, -1, -1), 1.0)
+    (signs,) = effort_findings("/joints", known(-1, -1, -1), 1.0)
     assert "effort of all joints has the wrong sign; give" in signs.message
-    (more,) = _effort_findings("/joints", known(-1, -1, -1), 1.0, UNKNOWN)
+    (more,) = effort_findings("/joints", known(-1, -1, -1), 1.0, UNKNOWN)
     assert "effort of all joints has" in more.message
     assert 'effort_scale: ["0:=-1", "1:=-1", "2:=-1", "x:=-1"]' in more.message
     assert set(more.figures) == {"0/gain", "1/gain", "2/gain", "x/gain"}
-    (two,) = _effort_findings("/joints", known(-1, -1), 1.0)
+    (two,) = effort_findings("/joints", known(-1, -1), 1.0)
     assert "effort of 0, 1 has" in two.message
-    (part,) = _effort_findings("/joints", known(-1, -1, -1, 1), 1.0)
+    (part,) = effort_findings("/joints", known(-1, -1, -1, 1), 1.0)
     assert "effort of 0, 1, 2 has the wrong sign (gain -1.00" in part.message
-    (gains,) = _effort_findings("/joints", known(0.1, 0.1, 0.1), 1.0)
+    (gains,) = effort_findings("/joints", known(0.1, 0.1, 0.1), 1.0)
     assert "effort of all joints reads 10 times" in gains.message
-    (pair,) = _effort_findings("/joints", known(0.1, 0.1), 1.0)
+    (pair,) = effort_findings("/joints", known(0.1, 0.1), 1.0)
     assert "effort of 0, 1 reads 10 times" in pair.message
 
 
 def test_the_line_for_a_robot_file_names_every_joint_with_its_number():
     """It replaces the line of another finding, and of joints that show no load of their own."""
-    found = list(_effort_findings("/joints", known(0.1, 5.0, 1.0), 1.0, UNKNOWN))
+    found = list(effort_findings("/joints", known(0.1, 5.0, 1.0), 1.0, UNKNOWN))
     assert len(found) == 2
     for one in found:
         assert 'write effort_scale: ["0:=0.1", "1:=5"] in robot.yaml' in one.message
         assert "give `drive_gain` 0,1 to identify" in one.message
-    (every,) = _effort_findings("/joints", known(1e-3, 1.3e-3, 0.9e-3), 1.0, UNKNOWN)
+    (every,) = effort_findings("/joints", known(1e-3, 1.3e-3, 0.9e-3), 1.0, UNKNOWN)
     assert 'effort_scale: ["0:=0.001", "1:=0.0013", "2:=0.0009", "x:=0.001"]' in every.message
     assert "give `drive_gain` all to" in every.message
 
 
 def test_unlike_factors_without_a_right_one_are_those_of_currents():
     """Factors of the named joints alone would take the others' currents for torques."""
-    found = list(_effort_findings("/joints", known(6.4, 3.6, 3.8), 1.0, UNKNOWN))
+    found = list(effort_findings("/joints", known(6.4, 3.6, 3.8), 1.0, UNKNOWN))
     assert len(found) == 2
     for one in found:
         assert "give `drive_gain` all to identify" in one.message
@@ -349,13 +351,13 @@ def test_unlike_factors_without_a_right_one_are_those_of_currents():
 def test_advice_about_signs_builds_on_the_conversions_that_are_given():
     """A user who reversed an effort by mistake is not told to reverse it once more."""
     given = SignConversions({"0": -1.0, "1": 0.11}, frozenset({"left"}))
-    (found,) = _effort_findings("/joints", known(-1, -1), 1.0, conversions=given)
+    (found,) = effort_findings("/joints", known(-1, -1), 1.0, conversions=given)
     assert 'effort_scale: ["0:=1", "1:=-0.11"] in robot.yaml instead of 0:=-1, 1:=0.11' in (
         found.message
     )
-    (wrong,) = _effort_findings("/joints", known(1.0, 0.1), 1.0, conversions=given)
+    (wrong,) = effort_findings("/joints", known(1.0, 0.1), 1.0, conversions=given)
     assert '["1:=0.011"] in robot.yaml instead of 1:=0.11' in wrong.message
-    (plain,) = _effort_findings("/joints", known(-1, 1), 1.0)
+    (plain,) = effort_findings("/joints", known(-1, 1), 1.0)
     assert plain.message.endswith('effort_scale: ["0:=-1"] in robot.yaml')
     turn = RotationFit(-1, IDENTITY, 0.0, 1.0, 0, 90)
     (wrench,) = _wrench_findings("/left", "left", turn, 1.0, conversions=given)

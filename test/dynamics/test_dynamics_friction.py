@@ -21,7 +21,7 @@ from symbid_ros.dynamics.regressor import (
     is_slipping,
     presliding_column,
 )
-from symbid_ros.estimation.information import RowLayout
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

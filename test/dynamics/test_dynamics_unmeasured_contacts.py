@@ -11,7 +11,7 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.unmeasured_contacts import with_all_rows, with_contacts
 from symbid_ros.errors import ModelError
-from symbid_ros.estimation.information import random_motions
+from symbid_ros.estimation.row_layout import random_motions
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sampled_rows import CombinedCoordinates, sampled_rows

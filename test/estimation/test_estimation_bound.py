@@ -15,11 +15,11 @@ from scipy.linalg import cho_factor, cho_solve
 from symbid_ros.choices import METHODS
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.estimation.directions import DETERMINED
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.dataset import observe
 from symbid_ros.identification.problem import Problem, Truncation
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -126,12 +126,12 @@ class Bound:
 class Draw:
     """One prior and one draw of the noise, identified."""
 
-    solver: Solver
+    solved: SolvedProblem
     bound: np.ndarray
 
     @property
     def prior(self):
-        return self.solver.problem.prior
+        return self.solved.problem.prior
 
 
 @pytest.fixture(scope="module")
@@ -148,8 +148,8 @@ def draws(bound):
         observations = observe([segment], equation_rows(parameters), layout, (WINDOW,))
         for seed in range(PRIOR_DRAWS):
             prior = draw_prior(parameters, "percent", 25, 10 * noise + seed)
-            solver = Solver.of(Problem(observations, parameters, prior))
-            found.append(Draw(solver, bound.covariance(prior)))
+            solved = SolvedProblem.of(Problem(observations, parameters, prior))
+            found.append(Draw(solved, bound.covariance(prior)))
     return found
 
 
@@ -182,7 +182,7 @@ def test_errors_are_as_small_as_the_bound_allows(method, bound, draws):
     for name, J in metrics.items():
         errors, least = [], []
         for draw in draws:
-            value = getattr(draw.solver, method)().estimate.value
+            value = getattr(draw.solved, method)().estimate.value
             errors.append(np.sum((J @ (value - bound.parameters.values)) ** 2))
             least.append(np.trace(J @ draw.bound @ J.T))
         ratio = np.sqrt(np.mean(errors) / np.mean(least))
@@ -191,7 +191,7 @@ def test_errors_are_as_small_as_the_bound_allows(method, bound, draws):
 
 def test_the_stated_covariance_is_near_the_bound(draws):
     for draw in draws:
-        found = draw.solver.posterior
+        found = draw.solved.posterior
         ratio = found.std / np.sqrt(np.diag(draw.bound))
         assert ratio.min() > 0.95
         # Weights of so short a log are paid for: some fifty independent windows, 16 coordinates.
@@ -201,7 +201,7 @@ def test_the_stated_covariance_is_near_the_bound(draws):
 def test_errors_are_as_large_as_stated_in_the_determined_directions(bound, draws):
     squares = []
     for draw in draws:
-        found = draw.solver.posterior
+        found = draw.solved.posterior
         _, told, Vt = np.linalg.svd(found.factor * draw.prior.std)
         error = (found.mean - bound.parameters.values) / draw.prior.std
         squares.append((told * (Vt @ error))[told > 1 / DETERMINED] ** 2)
@@ -212,7 +212,7 @@ def test_errors_are_as_large_as_stated_in_the_determined_directions(bound, draws
 def test_every_link_is_consistent_and_there_are_no_alarms(bound, draws):
     possible = 0
     for draw in draws:
-        estimate = draw.solver.map_lmi().estimate
+        estimate = draw.solved.map_lmi().estimate
         links = bound.parameters.link_phi(estimate.value)
         assert all(estimate.consistent.values())
         assert all(map(is_consistent, links))
@@ -224,11 +224,11 @@ def test_every_link_is_consistent_and_there_are_no_alarms(bound, draws):
 
 def test_map_lmi_equals_map_where_map_is_consistent(bound, draws):
     """With a consistent prior and a log that agrees with it, no constraint is active."""
-    problem = draws[0].solver.problem
+    problem = draws[0].solved.problem
     parameters = bound.parameters
     prior = draw_prior(parameters, "consistent", 0.1, 0)
-    solver = Solver.of(replace(problem, prior=prior))
-    map_, lmi = solver.map().estimate, solver.map_lmi().estimate
+    solved = SolvedProblem.of(replace(problem, prior=prior))
+    map_, lmi = solved.map().estimate, solved.map_lmi().estimate
     assert all(map_.consistent.values())
     np.testing.assert_allclose(lmi.value, map_.value, atol=1e-9 * np.abs(map_.value).max())
     np.testing.assert_array_equal(lmi.std, map_.std)
@@ -241,9 +241,9 @@ def test_map_lmi_is_better_than_the_truncated_methods(bound, draws):
     for draw in draws[:2]:
         for method in METHODS:
             if method.startswith("map"):
-                estimate = getattr(draw.solver, method)().estimate
+                estimate = getattr(draw.solved, method)().estimate
             else:
-                estimate = draw.solver.truncated(method, Truncation()).estimate
+                estimate = draw.solved.truncated(method, Truncation()).estimate
             errors[method].append(np.linalg.norm(J @ (estimate.value - bound.parameters.values)))
     means = {method: np.mean(values) for method, values in errors.items()}
     assert min(means, key=means.get) in ("map", "map_lmi")

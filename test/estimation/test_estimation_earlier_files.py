@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from symbid_ros.estimation.archive import load_archive, load_deviation_factor
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior_file import load_prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.estimation.effort_columns import EffortColumns
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.signals.weak_form import WindowedRows
 
 COORDINATES, COUNT = ("a", "b", "c"), 90

@@ -25,7 +25,7 @@ from symbid_ros.estimation.prior import (
 from symbid_ros.estimation.prior_file import load_prior, write_prior
 from symbid_ros.estimation.prior_std import percent_floor, sized_std, stated_covariance
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.inertia import (
     is_consistent,
     phi_from_pseudo_inertia,
@@ -490,8 +490,8 @@ def test_a_prior_with_any_numbers_is_used_or_rejected_in_one_line(data, tmp_path
     said = ""
     try:
         prior = load_prior(path, log.parameters)
-        solver = Solver.of(Problem((log.observations(),), log.parameters, prior))
-        for found in (solver.map(), solver.map_lmi()):
+        solved = SolvedProblem.of(Problem((log.observations(),), log.parameters, prior))
+        for found in (solved.map(), solved.map_lmi()):
             assert np.all(np.isfinite(found.estimate.value))
     except SymbidError as error:
         said = str(error)

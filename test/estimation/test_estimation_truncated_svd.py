@@ -12,9 +12,10 @@ from random_robots import random_robot, random_samples
 from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import DataError, EstimateError
-from symbid_ros.estimation.information import Information, RowLayout
+from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.estimation.truncated_svd import (
     METHODS,
     LeastSquares,

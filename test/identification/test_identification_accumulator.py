@@ -8,14 +8,9 @@ from analytic_log import analytic_segment, noisy
 from gaussian_logs import gaussian_log
 from random_robots import random_robot
 
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.identification.accumulator import (
-    Accumulator,
-    BlockAccumulator,
-    BlockRows,
-    TimeSpan,
-)
+from symbid_ros.estimation.row_layout import RowLayout
+from symbid_ros.identification.accumulator import Accumulator, BlockAccumulator, BlockRows, TimeSpan
 from symbid_ros.identification.dataset import observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.segments import cut_to

@@ -16,9 +16,9 @@ import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.base_gravity import find_gravity
 from symbid_ros.identification.contacts import with_robot_options
-from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.export_urdf import urdf_text

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.bags import BagWriter
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.api import identify
-from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
@@ -170,7 +170,7 @@ def test_live_messages_give_the_same_as_a_bag(robot, readings, tmp_path):
         approximate = feed.into(live, solving=3.0)
         found = live.solve(exactly=True).found.estimate
         assert not live.faults
-        assert not any(check.dropped for check in live.checks.values())
+        assert not any(check.dropped for check in live.intake.checks.values())
     finally:
         live.close()
     assert sum(one is not None for one in approximate) >= 2

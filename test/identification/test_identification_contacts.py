@@ -11,14 +11,10 @@ from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.aligned_log import AlignedLog, joined_segments
 from symbid_ros.identification.api import diagnose, identify
 from symbid_ros.identification.assumed_contacts import assumed_contacts
-from symbid_ros.identification.dataset import (
-    AlignedLog,
-    Processing,
-    fold_dataset,
-    joined_segments,
-)
+from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.joint_terms import _any_slips
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions

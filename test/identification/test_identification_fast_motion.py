@@ -8,12 +8,12 @@ import pytest
 from analytic_log import analytic_segment, noisy
 from random_robots import random_robot
 
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.fast_motion import _fast_rows, _FastMotion, with_fast_motion
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_samples import probed
 from symbid_ros.signals.weak_form import equation_rows
@@ -37,23 +37,23 @@ def log(seed, *, robot=ROBOT, shaking=5.0, noise=NOISE, spoil=lambda segment: se
     layout = RowLayout.of(robot)
     observations = observe([segment], equation_rows(robot), layout, (0.161,))
     prior = draw_prior(robot, "percent", 25.0, seed)
-    solver = Solver.of(Problem(observations, robot, prior))
-    return solver, Dataset("log", (segment,), probed(segment, robot.model), observations)
+    solved = SolvedProblem.of(Problem(observations, robot, prior))
+    return solved, Dataset("log", (segment,), probed(segment, robot.model), observations)
 
 
-def normalised_square(solver):
+def normalised_square(solved):
     """Return the mean square of the errors in standard deviations, and their volume in bits."""
-    L = np.linalg.cholesky(solver.posterior.deviation_factor @ solver.posterior.deviation_factor.T)
-    error = np.linalg.solve(L, solver.posterior.mean - ROBOT.values)
+    L = np.linalg.cholesky(solved.posterior.deviation_factor @ solved.posterior.deviation_factor.T)
+    error = np.linalg.solve(L, solved.posterior.mean - ROBOT.values)
     return np.mean(error**2), float(np.sum(np.log2(L.diagonal())))
 
 
 def test_vibrations_add_information_and_deviations_stay_right():
     pairs = []
     for seed in SEEDS:
-        solver, dataset = log(seed)
+        solved, dataset = log(seed)
         pairs.append(
-            [normalised_square(one) for one in (solver, with_fast_motion(solver, dataset))]
+            [normalised_square(one) for one in (solved, with_fast_motion(solved, dataset))]
         )
     (slow, before), (fast, after) = np.mean(pairs, axis=0)
     assert before - after > 25
@@ -63,15 +63,15 @@ def test_vibrations_add_information_and_deviations_stay_right():
 
 
 def test_noise_of_the_motion_is_known_from_the_forces():
-    solver, dataset = log(0)
-    motion = _FastMotion.of(tuple(_fast_rows(solver, dataset)), solver)
+    solved, dataset = log(0)
+    motion = _FastMotion.of(tuple(_fast_rows(solved, dataset)), solved)
     expected = np.repeat([NOISE["position"], NOISE["rate"], NOISE["acceleration"]], [JOINTS, 3, 3])
     assert np.allclose(np.sqrt(motion.variance[: len(expected)]), expected, rtol=0.1)
 
 
 def test_slow_motion_takes_no_further_step():
-    solver, dataset = log(0, shaking=0.0)
-    assert with_fast_motion(solver, dataset) is solver
+    solved, dataset = log(0, shaking=0.0)
+    assert with_fast_motion(solved, dataset) is solved
 
 
 def test_dry_friction_is_not_taken_for_fast_motion():
@@ -92,22 +92,22 @@ def test_dry_friction_is_not_taken_for_fast_motion():
         ),
     )
     robot = ParameterSet(model, terms=("coulomb",))
-    solver, dataset = log(0, robot=robot, shaking=0.0, spoil=rub)
-    assert not list(_fast_rows(solver, dataset))
+    solved, dataset = log(0, robot=robot, shaking=0.0, spoil=rub)
+    assert not list(_fast_rows(solved, dataset))
 
 
 def test_readings_without_noise_are_solved_from_slow_motion_alone():
-    solver, dataset = log(0, noise={})
-    assert with_fast_motion(solver, dataset) is solver
+    solved, dataset = log(0, noise={})
+    assert with_fast_motion(solved, dataset) is solved
 
 
 def test_logs_at_another_rate_than_the_first_are_left_out():
-    solver, dataset = log(0)
+    solved, dataset = log(0)
     slower = analytic_segment(ROBOT, 8, 1, rate=500.0, start=100.0, shaking=5.0)
     slower = noisy(slower, np.random.default_rng(1), **NOISE)
     both = replace(dataset, segments=(*dataset.segments, slower))
-    expected = with_fast_motion(solver, dataset).posterior.mean
-    assert np.allclose(with_fast_motion(solver, both).posterior.mean, expected, rtol=1e-9)
+    expected = with_fast_motion(solved, dataset).posterior.mean
+    assert np.allclose(with_fast_motion(solved, both).posterior.mean, expected, rtol=1e-9)
 
 
 def test_bands_that_contradict_the_slow_motion_are_left_out():
@@ -116,12 +116,12 @@ def test_bands_that_contradict_the_slow_motion_are_left_out():
     def late(segment):
         return replace(segment, effort=np.roll(segment.effort, 1, axis=0))
 
-    solver, dataset = log(0, spoil=late)
-    motion = _FastMotion.of(tuple(_fast_rows(solver, dataset)), solver)
-    factor = solver.posterior.deviation_factor
-    found = [one.contradiction(factor) for one in motion.scores(solver.posterior.mean, 5)]
+    solved, dataset = log(0, spoil=late)
+    motion = _FastMotion.of(tuple(_fast_rows(solved, dataset)), solved)
+    factor = solved.posterior.deviation_factor
+    found = [one.contradiction(factor) for one in motion.scores(solved.posterior.mean, 5)]
     assert max(found) > 3.0
-    square, _ = normalised_square(with_fast_motion(solver, dataset))
+    square, _ = normalised_square(with_fast_motion(solved, dataset))
     assert square < 2.0
 
 
@@ -137,6 +137,6 @@ def test_other_robots_are_solved_from_slow_motion_alone(change):
     segment = analytic_segment(robot, 5, 1, shaking=5.0)
     segment = noisy(segment, np.random.default_rng(0), **NOISE)
     observations = observe([segment], equation_rows(robot), RowLayout.of(robot), (0.161,))
-    solver = Solver.of(Problem(observations, robot, draw_prior(robot, "percent", 25.0, 1)))
+    solved = SolvedProblem.of(Problem(observations, robot, draw_prior(robot, "percent", 25.0, 1)))
     dataset = Dataset("log", (segment,), probed(segment, robot.model), observations)
-    assert with_fast_motion(solver, dataset) is solver
+    assert with_fast_motion(solved, dataset) is solved

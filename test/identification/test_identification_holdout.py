@@ -13,7 +13,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.holdout import repeated_share
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.parameters import ParameterSet

@@ -13,8 +13,9 @@ from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.group_moments import GROUPS, GroupMoments
-from symbid_ros.estimation.information import Information, RowLayout, random_motions
-from symbid_ros.identification import solver_setup
+from symbid_ros.estimation.information import Information
+from symbid_ros.estimation.row_layout import RowLayout, random_motions
+from symbid_ros.identification import problem_setup
 from symbid_ros.identification.joint_terms import choose_terms
 from symbid_ros.identification.term_remarks import replaceable_terms
 from symbid_ros.model.export_urdf import urdf_text
@@ -109,7 +110,7 @@ def test_rows_that_are_used_choose_the_terms(monkeypatch):
         # As if all rows together had chosen in windows of another length.
         return replace(choice, window=choice.window if len(windows) > 1 else -1.0)
 
-    monkeypatch.setattr(solver_setup, "choose_terms", elsewhere)
+    monkeypatch.setattr(problem_setup, "choose_terms", elsewhere)
     found = sy.identify(robot, log, unchecked=True, no_holdout=True)
     assert len(windows[0]) == 3
     assert windows[1:] == [(found.estimate.rows.window,)]

@@ -13,8 +13,9 @@ from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.estimation.prior import model_prior
 from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import align_checked
 from symbid_ros.signals.segments import cut_to
@@ -49,7 +50,9 @@ def identified(parameters: ParameterSet, plan: LogPlan) -> Identification:
     topics = {frame: frame for frame in first.wrench_frames}
     check_model(watch, "/joint_states", list(first.imu_frames), topics)
     prior = model_prior(parameters)
-    return Solver.of(Problem(record.observations, parameters, prior, is_empirical=True)).map()
+    return SolvedProblem.of(
+        Problem(record.observations, parameters, prior, is_empirical=True)
+    ).map()
 
 
 plans = st.builds(
@@ -110,7 +113,7 @@ def test_errors_from_slow_logs_agree_with_their_standard_deviations(rate: float)
     plan = LogPlan(rate, round(120 * rate), START)
     record = record_of(LEGGED, plan)
     prior = model_prior(LEGGED)
-    found = Solver.of(Problem(record.observations, LEGGED, prior)).map()
+    found = SolvedProblem.of(Problem(record.observations, LEGGED, prior)).map()
     mass = LEGGED.names.index("link_0/m")
     error = np.abs(found.estimate.value - LEGGED.values)
     assert error[mass] < 0.02 * LEGGED.values[mass]

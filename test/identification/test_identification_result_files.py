@@ -13,17 +13,17 @@ from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import load_archive, write_archive
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.estimate_file import load_estimate, write_estimate
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.prior_file import write_prior
+from symbid_ros.estimation.row_layout import RowLayout
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import (
     check_output,
     load_estimated_model,
     write_identification,
 )
-from symbid_ros.identification.solver import Identification
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model

@@ -15,7 +15,7 @@ from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.calibration import SensorErrorRequest, calibrate
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.sensor_drift import MINUTE, SensorDrift, final_drifts, is_drift
@@ -185,7 +185,7 @@ def test_masses_are_not_too_small_beside_a_noisy_accelerometer(
 
 
 def test_predictions_use_the_values_at_the_end(found, parameters, errors, possible, truth):
-    identified = Solver.of(found).map()
+    identified = SolvedProblem.of(found).map()
     predictor = ForcePredictor.of(identified, parameters)
     later = analytic_segment(parameters, 3.9, 1, rate=500.0, start=STARTS[-1] + 400.0)
     later = drifting(spoilt(later, errors, truth[0]), errors, possible, truth[1])

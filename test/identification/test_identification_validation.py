@@ -14,8 +14,8 @@ from random_logs import LogPlan, random_streams, small_robot
 import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.comparison import compare
-from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.error_changes import percent, percent_change
 from symbid_ros.identification.force_errors import compare_errors
 from symbid_ros.identification.prediction import ForcePredictor

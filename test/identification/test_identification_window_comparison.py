@@ -23,7 +23,7 @@ from symbid_ros.package_paths import config_file
 def problem(simulated):
     bag = simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
     options = IdentifyOptions(prior_percent=25.0, method="map")
-    return BagRequest((bag,), config_file("symbitron.xml"), options).load().solver.problem
+    return BagRequest((bag,), config_file("symbitron.xml"), options).load().solved.problem
 
 
 def test_comparisons_after_the_first_are_spread_over_estimates(problem) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import ModelError
-from symbid_ros.estimation.information import random_motions
+from symbid_ros.estimation.row_layout import random_motions
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model

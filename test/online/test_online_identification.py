@@ -18,7 +18,7 @@ from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest
@@ -134,12 +134,12 @@ def test_live_messages_give_the_estimate_of_their_bag(start, feed, offline) -> N
     assert np.min(known[-1] / known[0]) < 0.5
 
     exact = live.solve(exactly=True)
-    solver = offline.solver
-    assert_same(exact.found.observations, solver.problem.data)
+    solved = offline.solved
+    assert_same(exact.found.observations, solved.problem.data)
     estimate, expected = exact.found.estimate, offline.solve().estimate
     assert estimate.joint_terms == expected.joint_terms
     assert np.all(np.abs(estimate.value - expected.value) <= 1e-7 * expected.std)
-    assert exact.found.estimate.verdict.window == solver.chosen.window
+    assert exact.found.estimate.verdict.window == solved.chosen.window
     assert exact.until == feed.messages[-1][0]
 
 
@@ -235,7 +235,7 @@ def test_a_backward_clock_jump_restarts_the_clock_and_loses_nothing(
         *_, straggler = (m for m in feed.messages if m[1] != first[1])
         replace(feed, messages=(first, second, straggler, *others)).into(live, solving=2.0)
     assert any("jumps back" in one and "counts twice" in one for one in caplog.messages)
-    assert (live.clock_jumps, live.streams.stale) == (1, 1)
+    assert (live.intake.clock_jumps, live.streams.stale) == (1, 1)
     twice = [one.merge(one) for one in folded]
     assert_same(live.solve(exactly=True).found.observations, twice)
 
@@ -265,10 +265,10 @@ def test_forgetting_discounts_old_rows_and_the_prior(start, feed) -> None:
     rate = 2 / 0.161
     assert known.rows.samples == pytest.approx(2.0 * rate, rel=0.7)
     problem = replace(initial(**LINKS).problem, observations=(known,))
-    solver = Solver.of(problem)
+    solved = SolvedProblem.of(problem)
     widened = discounted.found.estimate.std / discounted.found.estimate.prior
     assert np.all(np.isfinite(widened))
-    assert solver.posterior.prior.std == pytest.approx(2 * problem.prior.std)
+    assert solved.posterior.prior.std == pytest.approx(2 * problem.prior.std)
 
 
 def test_a_silent_topic_loses_blocks_and_is_reported(start, feed) -> None:
@@ -338,11 +338,11 @@ def test_invalid_messages_change_nothing(start, undisturbed, spoil, reason) -> N
     live = start(**LINKS)
     spoilt(part, spoil).into(live)
     np.testing.assert_array_equal(values_of(live), expected)
-    counts = {check.dropped for check in live.checks.values() if check.dropped}
+    counts = {check.dropped for check in live.intake.checks.values() if check.dropped}
     assert sum(counts) > 10
-    for check in live.checks.values():
+    for check in live.intake.checks.values():
         assert not check.dropped or re.search(reason, check.reason), check.reason
-    assert live.clock_jumps == live.lost_blocks == 0
+    assert live.intake.clock_jumps == live.lost_blocks == 0
 
 
 def test_messages_with_spikes_are_dropped_as_those_of_a_bag(bag, tmp_path) -> None:
@@ -371,11 +371,11 @@ def test_late_and_missing_messages_are_counted(start, feed) -> None:
     assert by_name["/imu/data"].missing == 4
     assert by_name["/joint_states"].missing == 0
     _, topic, payload = feed.messages[0]
-    live.feed(topic, payload)
-    assert live.clock_jumps == 0  # a single stamp may be wrong
-    live.feed(topic, payload)  # another 6 s back: a new time, not a late message
-    assert live.clock_jumps == 1
-    live.feed(topic, payload)
+    live.intake.feed(topic, payload)
+    assert live.intake.clock_jumps == 0  # a single stamp may be wrong
+    live.intake.feed(topic, payload)  # another 6 s back: a new time, not a late message
+    assert live.intake.clock_jumps == 1
+    live.intake.feed(topic, payload)
     assert by_name[topic.name].late == 0
 
 
@@ -403,7 +403,7 @@ def test_a_pause_that_was_asked_for_is_no_fault(
 ) -> None:
     live = start(**LINKS)
     feed.between(0.0, 2.5).into(live)
-    live.expect_pause()
+    live.streams.expect_pause()
     feed.between(5.0, 6.0).into(live)
     assert {buffer.pauses for buffer in live.streams.buffers.values()} == {0}
     assert not any("jump ahead" in one.message for one in caplog.records)
@@ -434,7 +434,7 @@ def test_a_wrong_unit_is_named_as_the_cause_of_a_wrong_weight(start, feed) -> No
 
     live = start(**LINKS)
     for _, topic, payload in feed.between(0.0, 3.0).messages:
-        live.feed(topic, in_g(payload) if topic.name == "/imu/data" else payload)
+        live.intake.feed(topic, in_g(payload) if topic.name == "/imu/data" else payload)
     with pytest.raises(DataError, match=r"% of the robot's weight; /imu/data: .* as if in g; use"):
         live.solve()
 

@@ -11,7 +11,7 @@ from split_joints import JOINTS, Part, left, right, split_joints, stamped
 
 from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.errors import DataError
-from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.messages.types import IMU, read_leading_stamp

@@ -60,8 +60,8 @@ def test_live_messages_at_low_rates_give_the_estimate_of_their_bag(robot_and_bag
     assert [outcome for outcome in outcomes if outcome is not None]
     exact = live.solve(exactly=True).found
     live.close()
-    solver = BagRequest((bag,), model, initial().options).load().solver
-    offline = solver.problem.data
+    solved = BagRequest((bag,), model, initial().options).load().solved
+    offline = solved.problem.data
     assert [one.window for one in exact.observations] == [one.window for one in offline]
     assert tuple(one.window for one in offline) == expected
     for one, other in zip(exact.observations, offline, strict=True):

@@ -113,7 +113,7 @@ def test_a_sensor_whose_error_changes_is_named(tares, feed) -> None:
 def recorded(feed, names=()):
     """Return a recording of a tare from some messages of a feed."""
     live = begin(feed, {})
-    recording = TareRecording(feed.selected, live.checks)
+    recording = TareRecording(feed.selected, live.intake.checks)
     for _, topic, payload in feed.messages:
         if not names or topic.name in names:
             recording.add(topic, payload)

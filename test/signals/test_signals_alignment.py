@@ -19,9 +19,9 @@ from symbid_ros.signals.alignment import (
     _merged,
     align,
     resampling_margin,
-    suggested_prefix,
     warn_once,
 )
+from symbid_ros.signals.required_sensors import suggested_prefix
 from symbid_ros.signals.sensor_samples import at_base
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 

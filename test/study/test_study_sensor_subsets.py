@@ -16,7 +16,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.dataset import Processing, read_dataset
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import Frame
@@ -192,8 +192,8 @@ def test_every_subset_gains_information(record, simulated, symbitron):
         for sensors in get_args(SensorSubset):
             observations = observe_subset(log, symbitron, sensors)
             assert [one.window for one in observations] == [one.window for one in log.observations]
-            solver = Solver.of(Problem(observations, symbitron, prior))
-            gains[sensors] = solver.posterior.gain(len(symbitron))
+            solved = SolvedProblem.of(Problem(observations, symbitron, prior))
+            gains[sensors] = solved.posterior.gain(len(symbitron))
         assert min(gains.values()) > 20
         assert gains["all"] == max(gains.values())
     assert observe_subset(record, symbitron, "all") is record.observations
@@ -204,7 +204,7 @@ def test_estimates_without_plates_cover_the_truth(record, symbitron):
     distances = []
     for seed in range(4):
         prior = draw_prior(symbitron, "percent", 25.0, seed)
-        found = Solver.of(Problem(observations, symbitron, prior)).posterior
+        found = SolvedProblem.of(Problem(observations, symbitron, prior)).posterior
         distances.append(found.factor @ (symbitron.values - found.mean))
     # Root mean square of 440 deviations; all draws share the noise of one log.
     assert 0.7 < np.sqrt(np.mean(np.square(distances))) < 1.3

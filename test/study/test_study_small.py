@@ -22,7 +22,7 @@ from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.dataset import Processing, read_dataset
 from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.problem import Problem, Truncation
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import read_true_motion
@@ -70,8 +70,8 @@ def direct(simulated) -> dict[tuple[str, str], dict[str, float]]:
         found: dict[str, list] = {method: [] for method in TITLES}
         for seed in (8, 9):
             prior = draw_prior(parameters, kind, amount, seed)
-            by_filter = Solver.of(Problem(log.observations, parameters, prior))
-            by_windows = Solver.of(Problem(windows.observations, parameters, prior))
+            by_filter = SolvedProblem.of(Problem(log.observations, parameters, prior))
+            by_windows = SolvedProblem.of(Problem(windows.observations, parameters, prior))
             vectors = {"ref": prior.mean}
             ranks = {}
             for method in ("ols", "wls_r", "wls_c", "wls_rc"):

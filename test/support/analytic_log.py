@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.calibration import calibration_windows
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.signals.segments import Segment

@@ -7,9 +7,9 @@ from random_robots import random_robot
 
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior, draw_prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import WindowedRows
 

@@ -31,7 +31,7 @@ class Feed:
         outcomes = []
         due = self.messages[0][0] + round(solving * 1e9)
         for stamp, topic, payload in self.messages:
-            live.feed(topic, payload)
+            live.intake.feed(topic, payload)
             if solving and stamp >= due:
                 outcomes.append(live.solve())
                 due = stamp + round(solving * 1e9)

@@ -132,14 +132,10 @@ class MessageBlock:
     spans : dict of Topic to (N, 2) int64
         Start and length of each payload, in order of recording, for each topic announced so far,
         even without a message.
-    chunks, unchecked_chunks : int
-        Number of their chunks, and of those without a checksum.
     """
 
     data: ByteArray
     spans: dict[Topic, IntArray]
-    chunks: int = 0
-    unchecked_chunks: int = 0
 
 
 def read_mcap_blocks(file: Path) -> Iterator[MessageBlock]:
@@ -274,12 +270,7 @@ class _FileReader:
         spans = np.stack(
             [starts + PAYLOAD_OFFSET, heads["length"].astype(np.int64) - MESSAGE.size], 1
         )
-        return MessageBlock(
-            content,
-            self._by_topic(heads["channel"], spans),
-            batch.chunks,
-            batch.unchecked,
-        )
+        return MessageBlock(content, self._by_topic(heads["channel"], spans))
 
     def _by_topic(self, channels: NDArray[np.uint16], spans: IntArray) -> dict[Topic, IntArray]:
         """Sort spans (N, 2) by topic; a topic may have several channels."""

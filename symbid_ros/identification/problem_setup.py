@@ -1,12 +1,12 @@
-"""From the rows of a log to a solver: sensor errors, drive gains and joint terms as options say."""
+"""Solves a log with the sensor errors, drive gains and joint terms that options ask for."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from symbid_ros.choices import SPRING
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.calibration import (
@@ -32,8 +32,8 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prior_options import build_pseudo_measurements
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.ripples import find_ripples
-from symbid_ros.identification.solver import Solver
-from symbid_ros.identification.springs import shows_springs
+from symbid_ros.identification.solved_problem import SolvedProblem
+from symbid_ros.identification.springs import find_springs
 from symbid_ros.identification.stored_information import merged_observations, with_columns
 from symbid_ros.identification.tares import Tare
 from symbid_ros.identification.term_priors import candidate_prior, named_term_prior
@@ -43,7 +43,7 @@ from symbid_ros.signals.sensor_errors import DRIVE_GAIN, PLACE
 
 
 @dataclass(frozen=True)
-class SolverSetup:
+class ProblemSetup:
     """What a log is solved with, apart from its rows and their columns.
 
     Attributes
@@ -64,9 +64,9 @@ class SolverSetup:
     tares: Mapping[str, Tare] = field(default_factory=dict)
     checks: LogChecks = NO_CHECKS
 
-    def solver(
+    def solve(
         self, parameters: ParameterSet, dataset: Dataset, *, is_trial: bool = False
-    ) -> Solver:
+    ) -> SolvedProblem:
         """Solve a log whose rows have the columns ``parameters``."""
         options, prior = self.options, self.prior.for_columns(parameters)
         factors = first_factors(options, dataset, parameters, prior)
@@ -88,7 +88,7 @@ class SolverSetup:
         if factors is not None and not kinds and parameters.model.contacts is None:
             solve = partial(_with_chosen_terms, is_trial=True)
             problem = identify_gains(problem, dataset, factors, solve)
-            return Solver.of(problem, is_trial=is_trial)
+            return SolvedProblem.of(problem, is_trial=is_trial)
         kinds += (DRIVE_GAIN,) * (factors is not None)
         if kinds:
             # What the user recorded for the purpose counts more than times in the air.
@@ -104,39 +104,41 @@ class SolverSetup:
 
     def with_found_terms(
         self, parameters: ParameterSet, dataset: Dataset
-    ) -> tuple[ParameterSet, Dataset, Solver]:
+    ) -> tuple[ParameterSet, Dataset, SolvedProblem]:
         """Solve a log with further terms that it shows; return their columns and rows as well."""
-        solver, options = self.solver(parameters, dataset), self.options
+        solved, options = self.solve(parameters, dataset), self.options
         if parameters.model.floating and options.sensor_error_kinds:
             # Errors of IMUs and foot sensors leave residuals that joint terms would follow.
-            return parameters, dataset, solver
-        exact = self._with_exact_sensors(parameters, solver, dataset)
-        for searches, find in (
-            (options.finds_springs, _with_springs),
-            (options.finds_couplings, _with_couplings),
-            (options.finds_warming, _with_warming),
-            (options.finds_ripples, _with_ripples),
+            return parameters, dataset, solved
+        exact = self._with_exact_sensors(parameters, solved, dataset)
+        for name, searches, find in (
+            ("terms", options.finds_springs, find_springs),
+            ("couplings", options.finds_couplings, find_couplings),
+            ("warming", options.finds_warming, find_warming),
+            ("ripples", options.finds_ripples, find_ripples),
         ):
-            if not searches or (more := find(parameters, *exact)) is parameters:
+            found = find(*exact) if searches else ()
+            if not found:
                 continue
-            parameters, processing = more, Processing.of(options)
+            more: dict[str, Any] = {name: (*getattr(parameters, name), *found)}
+            parameters, processing = replace(parameters, **more), Processing.of(options)
             dataset = fold_dataset(dataset.segments, dataset.source, parameters, processing)
-            solver = self.solver(parameters, dataset)
-            exact = self._with_exact_sensors(parameters, solver, dataset)
-        return parameters, dataset, solver
+            solved = self.solve(parameters, dataset)
+            exact = self._with_exact_sensors(parameters, solved, dataset)
+        return parameters, dataset, solved
 
     def _with_exact_sensors(
-        self, parameters: ParameterSet, solver: Solver, dataset: Dataset
-    ) -> tuple[Solver, Dataset]:
+        self, parameters: ParameterSet, solved: SolvedProblem, dataset: Dataset
+    ) -> tuple[SolvedProblem, Dataset]:
         """Return a solution without sensor errors, and its log with the drive gains found, if any.
 
         Further terms are searched for in its residuals.
         """
-        build, options = solver.problem.calibrated_rows, self.options
+        build, options = solved.problem.calibrated_rows, self.options
         if not options.searches:
-            return solver, dataset
+            return solved, dataset
         if build is None:
-            return with_plausible_prior(solver), dataset
+            return with_plausible_prior(solved), dataset
         if build.errors.gained:
             factors = np.ones(len(parameters.model.joints))
             factors[build.errors.gained_joints] = build.errors.of_kind(
@@ -145,7 +147,7 @@ class SolverSetup:
             segments = ConvertedSegments(dataset.segments, factors)
             dataset = fold_dataset(segments, dataset.source, parameters, Processing.of(options))
         exact = replace(options, drive_gain=(), sensor_errors=("none",), tare=())
-        return SolverSetup(exact, self.prior).solver(parameters, dataset), dataset
+        return ProblemSetup(exact, self.prior).solve(parameters, dataset), dataset
 
 
 def first_factors(
@@ -163,13 +165,13 @@ def first_factors(
 
 def _with_chosen_terms(
     problem: Problem, *, is_trial: bool, gained: Dataset | None = None
-) -> Solver:
+) -> SolvedProblem:
     """Solve a problem, with the terms that its data ask for if they are candidates.
 
     ``gained`` is the log of a problem with drive gains as unknowns.
     """
     if not problem.parameters.candidates:
-        return Solver.of(problem, is_trial=is_trial)
+        return SolvedProblem.of(problem, is_trial=is_trial)
 
     def with_terms(window: float | None = None) -> Problem:
         """Return the problem with the terms that all rows ask for, or those of one window."""
@@ -179,37 +181,12 @@ def _with_chosen_terms(
         rest = problem if gained is None else without_terms(problem, gained, choice.free)
         return replace(choice.applied(rest), choice=choice)
 
-    solver = Solver.of(with_terms(), is_trial=is_trial)
-    choice = solver.problem.choice
-    if choice is None or choice.window in (None, solver.chosen.window):
-        return solver
+    solved = SolvedProblem.of(with_terms(), is_trial=is_trial)
+    choice = solved.problem.choice
+    if choice is None or choice.window in (None, solved.chosen.window):
+        return solved
     # Noise may spoil the rows of short windows for all candidates together, and not for the chosen
     # ones. Rows that are used choose the terms as well.
-    window = solver.chosen.window
-    again = replace(with_terms(window), stored=solver.problem.stored)
-    return Solver.of(again, is_trial=is_trial, window=window)
-
-
-def _with_couplings(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
-    """Return the parameters with the couplings that a log shows."""
-    found = find_couplings(solver, dataset)
-    return replace(parameters, couplings=found) if found else parameters
-
-
-def _with_springs(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
-    """Return the parameters with the stiffness of joints if a log shows springs."""
-    if not shows_springs(solver, dataset):
-        return parameters
-    return replace(parameters, terms=(*parameters.terms, SPRING))
-
-
-def _with_warming(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
-    """Return the parameters with the changes of friction that a log shows."""
-    found = find_warming(solver, dataset)
-    return replace(parameters, warming=found) if found else parameters
-
-
-def _with_ripples(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
-    """Return the parameters with the ripples that a log shows."""
-    found = find_ripples(solver, dataset)
-    return replace(parameters, ripples=found) if found else parameters
+    window = solved.chosen.window
+    again = replace(with_terms(window), stored=solved.problem.stored)
+    return SolvedProblem.of(again, is_trial=is_trial, window=window)

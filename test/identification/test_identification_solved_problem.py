@@ -12,18 +12,18 @@ from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError, OptionError
 from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS, Alarm
 from symbid_ros.estimation.constraints import total_mass_row
-from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.posterior import CONVERGED, posterior
 from symbid_ros.estimation.prior import Prior, default_prior, draw_prior
 from symbid_ros.estimation.prior_file import write_prior
+from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.result_files import write_identification
-from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.window_comparison import solve_window
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
@@ -117,7 +117,7 @@ def test_map_lmi_is_the_nearest_physically_possible_estimate(whole, symbitron):
         assert is_consistent(phi)
     np.testing.assert_array_equal(possible.estimate.std, free.estimate.std)
     # The truth is also possible, so the projection reduces the error.
-    factor = whole.solver.posterior.factor
+    factor = whole.solved.posterior.factor
     errors = [
         np.linalg.norm(factor @ (found.estimate.value - symbitron.values))
         for found in (free, possible)
@@ -131,8 +131,8 @@ def test_truncated_methods_choose_z_from_the_data(whole, symbitron, method):
     # The number of directions about which the data say more than the prior.
     told = len(whole.solve("map").estimate.verdict.directions)
     assert abs(estimate.rank - told) <= 3
-    first_force = whole.solver.chosen.rows.residual_rmse(estimate.value)
-    before = whole.solver.chosen.rows.residual_rmse(whole.prior.mean)
+    first_force = whole.solved.chosen.rows.residual_rmse(estimate.value)
+    before = whole.solved.chosen.rows.residual_rmse(whole.prior.mean)
     assert sum(first_force.values()) < 0.2 * sum(before.values())
     assert estimate.verdict is None
     if method == "wls_rc":
@@ -148,7 +148,7 @@ def test_rows_are_weighted_by_given_sensor_noise(whole, symbitron):
     sigma = sensor_row_std(symbitron.model, whole.dataset.samples, sensors)
     assert sigma.max() > 5 * sigma.min()
     # Dense: the weighted normal equations about the prior, and their 20 largest eigenvalues.
-    rows, prior = whole.solver.chosen.rows, whole.prior.mean
+    rows, prior = whole.solved.chosen.rows, whole.prior.mean
     normal, target = np.zeros((len(prior), len(prior))), np.zeros(len(prior))
     for index, columns in enumerate(rows.layout.columns):
         factor = rows.coordinate_factor(index) / sigma[index]
@@ -168,7 +168,7 @@ def test_truncated_methods_use_a_given_rank_or_validation(whole):
     assert given.solve("wls_rc").estimate.rank == 12
     validated = replace(whole, validation=whole.dataset)
     chosen = validated.solve("wls_rc").estimate
-    rows = whole.solver.chosen.rows
+    rows = whole.solved.chosen.rows
 
     def error(estimate):
         return np.linalg.norm(list(rows.residual_rmse(estimate.value).values()))
@@ -263,9 +263,9 @@ def test_a_log_at_rest_determines_only_weight_and_balance(folder, symbitron):
 def test_window_lengths_dominated_by_noise_are_not_chosen(whole):
     """With a wide prior, short windows seem more informative because of noise in the regressor."""
     prior = draw_prior(whole.parameters, "absolute", 0.125, 1)
-    problem = replace(whole.solver.problem, prior=prior)
+    problem = replace(whole.solved.problem, prior=prior)
     each = [solve_window(problem, one, None, CONVERGED) for one in problem.observations]
-    chosen = Solver.of(problem)
+    chosen = SolvedProblem.of(problem)
     gains = [one.gain(len(whole.parameters)) for one in each]
     shares = [one.noise_share for one in each]
     assert np.argmax(gains) == 0
@@ -284,12 +284,12 @@ def test_the_evidence_recovers_the_scale_of_the_prior(whole, scale):
     """The data correct a prior that is too narrow or too wide."""
     count = len(whole.parameters)
     stated = whole.prior.widened(np.full(count, 1 / scale))
-    problem = Problem((whole.solver.chosen,), whole.parameters, stated, is_empirical=True)
-    found = Solver.of(problem).posterior
+    problem = Problem((whole.solved.chosen,), whole.parameters, stated, is_empirical=True)
+    found = SolvedProblem.of(problem).posterior
     np.testing.assert_allclose(found.prior.std, scale * stated.std, rtol=0.3)
     # The evidence accepts the scale of the widened prior, and corrects the stated one.
     assert found.prior_scale == pytest.approx(1.0, rel=0.02)
-    as_stated = Solver.of(replace(problem, is_empirical=False)).posterior
+    as_stated = SolvedProblem.of(replace(problem, is_empirical=False)).posterior
     assert as_stated.prior_scale == pytest.approx(scale, rel=0.4)
 
 
@@ -297,18 +297,18 @@ def test_the_prior_of_an_exact_model_shrinks(folder, symbitron):
     prepared = load(folder, "second", prior=None)
     estimate = prepared.solve("map").estimate
     believed = default_prior(symbitron, 25)
-    assert np.all(prepared.solver.posterior.prior.std < 0.5 * believed.std)
+    assert np.all(prepared.solved.posterior.prior.std < 0.5 * believed.std)
     assert np.abs((estimate.value - symbitron.values) / believed.std).max() < 0.5
 
 
 def test_rows_of_a_given_window_are_solved_and_compared_with_the_others(whole):
-    problem = whole.solver.problem
+    problem = whole.solved.problem
     for one in problem.observations:
-        solver = Solver.of(problem, window=one.window)
-        assert solver.chosen.window == one.window
-        assert solver.whiteness > 0
-        alone = Solver.of(replace(problem, observations=(one,))).posterior
-        assert np.abs((solver.posterior.mean - alone.mean) / alone.std).max() < 1e-5
+        solved = SolvedProblem.of(problem, window=one.window)
+        assert solved.chosen.window == one.window
+        assert solved.whiteness > 0
+        alone = SolvedProblem.of(replace(problem, observations=(one,))).posterior
+        assert np.abs((solved.posterior.mean - alone.mean) / alone.std).max() < 1e-5
 
 
 @pytest.mark.parametrize("samples", [40, 400])
@@ -406,8 +406,8 @@ def test_drives_that_cannot_be_passive_raise_an_alarm(push):
 def test_alarms_are_the_same_with_and_without_a_verdict():
     robot = arm(seed=2)
     log = log_of(robot, drives(robot, viscous=0.1), extra=lambda velocity, _: -1.5 * velocity)
-    solver = load_problem(robot, log, IdentifyOptions(joint_terms=("viscous",))).solver
-    found, quick = solver.map_lmi(), solver.map_lmi(with_verdict=False)
-    assert solver.alarms(quick.unknowns) == found.alarms
+    solved = load_problem(robot, log, IdentifyOptions(joint_terms=("viscous",))).solved
+    found, quick = solved.map_lmi(), solved.map_lmi(with_verdict=False)
+    assert solved.alarms(quick.unknowns) == found.alarms
     assert any(Alarm.LIMITS in alarm for alarm in found.alarms)
     assert quick.with_alarms(found.alarms).alarms == ()

@@ -9,7 +9,6 @@ from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Method
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.alarms import alarms
-from symbid_ros.estimation.archive import SensorCalibration
 from symbid_ros.estimation.change import discounted_pseudo_measurements
 from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.estimation.estimate import Estimate
@@ -29,16 +28,14 @@ from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
 from symbid_ros.estimation.unexplained import UnexplainedForce, unexplained_forces
 from symbid_ros.estimation.verdict import assess
 from symbid_ros.identification.contacts import contact_alarms
+from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.problem import Problem, Truncation
-from symbid_ros.identification.report_data import ReportData
 from symbid_ros.identification.term_remarks import joints_without_rows
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.wrist_sensors import sensor_names
 from symbid_ros.package_paths import package_version
-from symbid_ros.signals.calibrating_rows import CalibratingRows
-from symbid_ros.signals.sampled_rows import RowBuilder
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN
 
 # Mean square difference of two estimates, in deviations, above which the model is wrong. It is a
@@ -53,71 +50,7 @@ UNMOVED = 1e-6
 
 
 @dataclass(frozen=True)
-class Identification:
-    """An estimate with the data for predictions and for later runs.
-
-    Attributes
-    ----------
-    estimate : Estimate
-    observations : tuple of Observations
-        The data for each window length.
-    factor : (p + s, r) float64 or None
-        L of the covariance L Lᵀ of all unknowns; None for truncated methods.
-    window : float
-        Window length of the rows that were solved, s; 0 for rows at single instants.
-    unknowns : (p + s,) float64
-        The parameters, then the sensor errors.
-    rows : RowBuilder
-        Builds the rows of these unknowns.
-    scale_change : (p,) float64 or None
-        Change of the parameters with one deviation of the gain that no residual shows, as far as
-        their deviations contain it.
-    report : ReportData or None
-        What a report shows of the log; None without a log.
-    """
-
-    estimate: Estimate
-    observations: tuple[Observations, ...]
-    factor: FloatArray | None
-    window: float
-    unknowns: FloatArray
-    rows: RowBuilder
-    scale_change: FloatArray | None = None
-    report: ReportData | None = None
-
-    @property
-    def deviation_factor(self) -> FloatArray | None:
-        """(p, r) L of the robot's parameters' covariance L Lᵀ; None for truncated methods."""
-        return None if self.factor is None else self.factor[: len(self.estimate.names)]
-
-    @property
-    def alarms(self) -> tuple[str, ...]:
-        """Reasons not to trust the estimate, one line each; none without a verdict."""
-        verdict = self.estimate.verdict
-        return () if verdict is None else verdict.alarms
-
-    def with_alarms(self, alarms: tuple[str, ...]) -> "Identification":
-        """Return the same with these alarms alone, if its estimate has a verdict to hold them."""
-        verdict = self.estimate.verdict
-        if verdict is None:
-            return self
-        verdict = replace(verdict, alarms=alarms)
-        return replace(self, estimate=replace(self.estimate, verdict=verdict))
-
-    @property
-    def calibration(self) -> SensorCalibration | None:
-        """What predictions with sensor errors need; None without sensor errors."""
-        if self.factor is None or not isinstance(self.rows, CalibratingRows):
-            return None
-        point = self.rows.linearization
-        # Rows are linear in changes of sensor errors during the log.
-        linearization = np.zeros(len(self.unknowns))
-        linearization[: len(point.phi) + len(point.theta)] = np.r_[point.phi, point.theta]
-        return SensorCalibration(self.factor[len(self.estimate.names) :], linearization)
-
-
-@dataclass(frozen=True)
-class Solver:
+class SolvedProblem:
     """A problem and its posterior, from which every method starts.
 
     Attributes
@@ -137,7 +70,7 @@ class Solver:
     @classmethod
     def of(
         cls, problem: Problem, *, is_trial: bool = False, window: float | None = None
-    ) -> "Solver":
+    ) -> "SolvedProblem":
         """Compute the posterior of the most informative window length, or of a given one, s.
 
         If that one has no rows, all are compared. A trial, of which only the predictions are
@@ -159,7 +92,7 @@ class Solver:
         start: FloatArray | None,
         *,
         is_coupled: bool | None = None,
-    ) -> "Solver":
+    ) -> "SolvedProblem":
         """Solve one window length to a hundredth of a standard deviation, from a near start.
 
         ``is_coupled`` tells whether to weight rows by covariances between coordinates, if an
@@ -172,7 +105,7 @@ class Solver:
             found = solve_window(problem, chosen, start, COMPARABLE, approximate=True)
         return cls(problem, chosen, _with_all_errors(problem, found, chosen))
 
-    def with_measurements(self, more: PseudoMeasurements) -> "Solver":
+    def with_measurements(self, more: PseudoMeasurements) -> "SolvedProblem":
         """Return the solution with further measurements of all unknowns."""
         problem = replace(
             self.problem,

@@ -1,0 +1,207 @@
+"""Findings about the signs, gains and units of efforts."""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.options import robot_file_line
+
+# Range of a reading over its expected value, relative to other sensors, that inertia errors of
+# ±25 % can cause: 0.75/1.25 and its inverse.
+GAINS = 0.6, 1.6
+# Standard deviations by which a gain must differ.
+DEVIATIONS = 3.0
+# Smallest gain that is reported, relative to the common gain.
+SMALLEST = 1e-4
+# Factors of the efforts of so many joints that differ from one power of ten, and from each other,
+# by less are its unit. The model's masses may err by as much.
+SAME_UNIT, FEWEST_OF_A_UNIT = 1.25, 3
+MILLI = 1e-3
+# RMS efforts that are this many times the limits of their joints may be in mNm: more than drives
+# give beyond stated limits, and less than a thousand times what they can.
+TIMES_LIMIT = 10.0, 1 / MILLI
+
+
+@dataclass(frozen=True)
+class SignConversions:
+    """What the user's options have changed in efforts and wrenches before they are checked.
+
+    Attributes
+    ----------
+    effort_scale : mapping of str to float
+        Factors of joints' efforts.
+    flipped : frozenset of str
+        Frames whose wrenches are reversed.
+    """
+
+    effort_scale: Mapping[str, float] = field(default_factory=dict)
+    flipped: frozenset[str] = frozenset()
+
+    def effort_line(self, factors: Mapping[str, float]) -> str:
+        """Return the robot file's line that multiplies efforts, as they are read now, by these."""
+        given = {name: self.effort_scale.get(name, 1.0) for name in factors}
+        stated = [f"{name}:={scale:g}" for name, scale in given.items() if scale != 1.0]
+        products = (f"{name}:={one * given[name]:.3g}" for name, one in factors.items())
+        line = robot_file_line("effort_scale", *products)
+        return f"{line} instead of {', '.join(stated)}" if stated else line
+
+
+NO_CONVERSIONS = SignConversions()
+NO_GAINS: Mapping[str, tuple[float, float]] = MappingProxyType({})
+
+
+def common_unit(factors: Collection[float]) -> float | None:
+    """Return the power of ten that the factors of all joints' efforts are close to, if any.
+
+    Torque constants and gear ratios of three joints or more are not that close to one.
+    """
+    powers = np.log10(np.abs([*factors])) if factors else np.zeros(0)
+    power = float(np.rint(np.median(powers))) if len(powers) else 0.0
+    errors = powers - power
+    largest = max(np.abs(errors).max(initial=0.0), np.ptp(errors) if len(errors) else 0.0)
+    is_unit = power and min(factors) > 0 and largest < np.log10(SAME_UNIT)
+    return 10.0**power if is_unit and len(powers) >= FEWEST_OF_A_UNIT else None
+
+
+def may_be_in_milli(times_limit: float) -> bool:
+    """Return whether efforts may be in mNm whose RMS is this many times the limit."""
+    return TIMES_LIMIT[0] < times_limit < TIMES_LIMIT[1]
+
+
+def effort_findings(
+    topic: str,
+    known: Mapping[str, tuple[float, float]],
+    common: float,
+    unknown: Mapping[str, tuple[float, float]] = NO_GAINS,
+    *,
+    beyond: Mapping[str, tuple[float, float]] = NO_GAINS,
+    conversions: SignConversions = NO_CONVERSIONS,
+) -> Iterator[Finding]:
+    """Yield findings about signs and gains of efforts.
+
+    Parameters
+    ----------
+    topic : str
+    known : mapping of str to (float, float)
+        Gains of joints that the log determines, with their standard deviations.
+    common : float
+        The gain of the other sensors.
+    unknown : mapping of str to (float, float)
+        The same of the other driven joints.
+    beyond : mapping of str to (float, float)
+        RMS efforts beyond the limits of the model, and these limits.
+    conversions : SignConversions
+        Those that the user gave.
+    """
+    # The deviation is that of the ratio 1/g, relative to the ratio.
+    negative = [name for name, (gain, std) in known.items() if gain < 0 and DEVIATIONS * std < 1]
+    if negative:
+        are_all = len(negative) > 2 and len(negative) == len(known)
+        # If all known signs are wrong, so are those of joints whose load does not show theirs.
+        several = {**known, **unknown} if are_all else {name: known[name] for name in negative}
+        reversed_gains = {name: gain / common for name, (gain, _) in several.items()}
+        yield sign_finding(topic, reversed_gains, conversions, are_all=are_all)
+    wrong = {}
+    for name, (gain, std) in known.items():
+        # The standard deviation includes the errors of the inertias.
+        is_significant = abs(gain - common) > DEVIATIONS * std
+        reads = common / max(gain, SMALLEST * common)
+        if gain > 0 and is_significant and not GAINS[0] < reads < GAINS[1]:
+            wrong[name] = reads
+    groups = list(_similar_groups(wrong))
+    # If all joints have the same wrong unit, so have those whose load does not show theirs.
+    are_all = len(known) > 2 and [len(names) for names in groups] == [len(known)]
+    usual = dict.fromkeys(unknown, float(np.median(list(wrong.values())))) if are_all else {}
+    factors = {name: 1 / one for name, one in (wrong | usual).items()}
+    if are_all and (unit := common_unit([1 / one for one in wrong.values()])) is not None:
+        yield _unit_finding(
+            topic, wrong, unit, conversions.effort_line(dict.fromkeys(factors, unit))
+        )
+        return
+    if excess := {name: beyond[name] for name in unknown if name in beyond and not usual}:
+        yield _limit_finding(topic, excess, conversions)
+    line = conversions.effort_line(factors)
+    drives = "all" if are_all else ",".join(factors)
+    action = f"write {line}, or give `drive_gain` {drives} to identify the factors"
+    is_any_right = any(GAINS[0] < common / gain < GAINS[1] for gain, _ in known.values() if gain)
+    if len(groups) > 1 and not is_any_right:  # no joint reads Nm
+        action = "give `drive_gain` all to identify the factors: unlike ones are those of currents"
+    for names in groups:
+        reads = float(np.median([wrong[name] for name in names]))
+        whose = "all joints" if are_all else ", ".join(names)
+        yield Finding(
+            Kind.TORQUE_GAIN,
+            topic,
+            Severity.WARNING,
+            f"{topic}: effort of {whose} reads {reads:.3g} times what the motion implies; "
+            f"inertia errors of 25 % explain only {GAINS[0]:g} to {GAINS[1]:g}; check its unit, "
+            f"gear ratio or torque constant, or {action}",
+            {"reads": reads} | {f"{name}/reads": wrong[name] for name in names},
+        )
+
+
+def _unit_finding(topic: str, reads: Mapping[str, float], unit: float, line: str) -> Finding:
+    """Return the finding that the efforts of all joints are in another unit."""
+    middle = float(np.median(list(reads.values())))
+    name = ", as if in mNm (Nmm)" if unit == MILLI else ""
+    return Finding(
+        Kind.TORQUE_GAIN,
+        topic,
+        Severity.WARNING,
+        f"{topic}: effort of all joints reads {middle:.3g} times what the motion implies{name}; "
+        f"give Nm (N), or write {line}",
+        {"reads": middle} | {f"{joint}/reads": one for joint, one in reads.items()},
+    )
+
+
+def _limit_finding(
+    topic: str, excess: Mapping[str, tuple[float, float]], conversions: SignConversions
+) -> Finding:
+    """Return the finding that the RMS efforts of joints exceed their limits."""
+    ratios = {name: effort / limit for name, (effort, limit) in excess.items()}
+    each = ", ".join(
+        f"{name} {effort:.3g} of {limit:g}" for name, (effort, limit) in excess.items()
+    )
+    action = "check their unit"
+    if may_be_milli := [name for name, one in ratios.items() if may_be_in_milli(one)]:
+        line = conversions.effort_line(dict.fromkeys(may_be_milli, MILLI))
+        action += f", and for mNm write {line}"
+    return Finding(
+        Kind.TORQUE_GAIN,
+        topic,
+        Severity.WARNING,
+        f"{topic}: RMS efforts exceed the limits in the model: {each} Nm (N); {action}, or correct "
+        "the limits",
+        {f"{name}/times_limit": one for name, one in ratios.items()},
+    )
+
+
+def sign_finding(
+    topic: str, gains: Mapping[str, float], conversions: SignConversions, *, are_all: bool
+) -> Finding:
+    """Return the finding that joints with these gains have the wrong sign."""
+    size = f" (gain {np.mean(list(gains.values())):.2f} relative to the others)"
+    return Finding(
+        Kind.TORQUE_SIGN,
+        topic,
+        Severity.UNUSABLE,
+        f"{topic}: effort of {'all joints' if are_all else ', '.join(gains)} has the wrong sign"
+        f"{'' if are_all else size}; give it along the joint's axis, or write "
+        f"{conversions.effort_line(dict.fromkeys(gains, -1.0))}",
+        {f"{name}/gain": gain for name, gain in gains.items()},
+    )
+
+
+def _similar_groups(reads: Mapping[str, float]) -> Iterator[list[str]]:
+    """Yield groups of joints with similar errors, such as the same wrong unit."""
+    names: list[str] = []
+    for name in sorted(reads, key=lambda each: reads[each]):
+        if names and reads[name] > GAINS[1] * reads[names[0]]:
+            yield names
+            names = []
+        names.append(name)
+    if names:
+        yield names
