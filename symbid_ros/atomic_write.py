@@ -15,10 +15,16 @@ from symbid_ros.errors import OptionError, SymbidError
 from symbid_ros.shutdown import deferred
 
 
-def check_writable(folder: Path) -> None:
+def check_writable(folder: Path, file: Path | None = None) -> None:
     """Check that files can be written to a folder, without leaving any behind.
 
     Commands call this before long computations, so that their results are not lost.
+
+    Parameters
+    ----------
+    folder : Path
+    file : Path, optional
+        The only file that will be written, which the error names.
 
     Raises
     ------
@@ -34,7 +40,7 @@ def check_writable(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise _cannot_write(folder, error) from None
+        raise _cannot_write(file or folder, error) from None
     finally:
         # Another process may have written into the folder since.
         with suppress(OSError):
@@ -51,6 +57,17 @@ def check_output_folder(folder: Path) -> None:
         If the folder cannot be written to, or holds the files of a bag.
     """
     check_writable(folder)
+    refuse_bag_folder(folder)
+
+
+def refuse_bag_folder(folder: Path) -> None:
+    """Check that a folder is not that of a bag.
+
+    Raises
+    ------
+    SymbidError
+        If it holds the files of one.
+    """
     bag = ("metadata.yaml", "*.mcap", "*.db3")
     found = next((file for name in bag for file in folder.glob(name)), None)
     if found is not None:
@@ -85,7 +102,7 @@ def check_output_file(
         raise SymbidError(f"{path}: is a folder; name a file in it", "E552")
     if os.path.lexists(path) and not is_replaceable(path):
         raise SymbidError(f"{path}: exists; choose another name, or {remedy}", "E551")
-    check_writable(path.parent)
+    check_writable(path.parent, path)
 
 
 def require_distinct(paths: Mapping[str, Path | None]) -> None:

@@ -35,6 +35,7 @@ def option(
     metavar: str = "",
     unset: str = "",
     live: bool = False,
+    accepts: Callable[[Any], bool] | None = None,
 ) -> Any:
     """Return a dataclass field that is an option.
 
@@ -58,6 +59,9 @@ def option(
         What applies if it is not given, for a default of None.
     live : bool
         Whether a node may change it while it runs.
+    accepts : callable, optional
+        Returns whether an object that only Python can give, such as a log, may take the place of a
+        text or path.
     """
     notes = {
         "help": help,
@@ -69,6 +73,7 @@ def option(
         "metavar": metavar,
         "unset": unset,
         "live": live,
+        "accepts": accepts,
     }
     return field(default=default, metadata={_KEY: notes})
 
@@ -90,7 +95,7 @@ class Option:
         Whether any number of values may be given.
     length : int
         Number of values of a fixed-length tuple; 0 for other kinds.
-    help, unit, group, metavar, unset, live, minimum, maximum, positive
+    help, unit, group, metavar, unset, live, accepts, minimum, maximum, positive
         As in :func:`option`.
     """
 
@@ -109,6 +114,7 @@ class Option:
     metavar: str
     unset: str
     live: bool
+    accepts: Callable[[Any], bool] | None
 
     @property
     def is_optional(self) -> bool:
@@ -138,11 +144,15 @@ class Option:
     def _single(self, value: Any) -> Any:
         if self.choices and value not in self.choices:
             raise self._error(value)
-        if self.kind is Path and isinstance(value, str):
-            return Path(value)
+        if self.kind in (str, Path) and not self.choices:
+            allowed = str | Path if self.kind is Path else str
+            if isinstance(value, allowed):
+                return self.kind(value)
+            if self.accepts is None or not self.accepts(value):
+                raise self._error(value)
         if self.kind in (int, float):
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not is_number or (self.kind is int and value != int(value)):
+            if not is_number or (self.kind is int and not float(value).is_integer()):
                 raise self._error(value)
             low = -math.inf if self.minimum is None else self.minimum
             high = math.inf if self.maximum is None else self.maximum
@@ -164,6 +174,8 @@ class Option:
             return f"one of {', '.join(self.choices)}"
         names = {bool: "True or False", int: "an integer", float: "a number", Path: "a path"}
         words = names.get(self.kind, "text")
+        if self.is_sequence:
+            words = f"{words} or a list of {words.removeprefix('a ')}s"
         if self.length:
             words = f"{self.length} numbers"
         bounds = [

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
 import yaml
 
+from symbid_ros.errors import DataError
+
 MEBI = 1 << 20
 MAX_YAML_BYTES = MEBI
 MAX_JSON_BYTES = 64 * MEBI
@@ -18,6 +20,19 @@ MAX_NODES = 100_000  # keys, values and lists
 
 LARGEST_INTEGER = 2**63 - 1
 LONGEST_QUOTE = 40
+
+
+def as_path(what: str, given: object) -> Path:
+    """Return the path of a file or folder that a Python user gave.
+
+    Raises
+    ------
+    DataError
+        When it is neither a text nor a path; ``what`` names it.
+    """
+    if isinstance(given, str | os.PathLike):
+        return Path(given)
+    raise DataError(f"{what} must be a path, not {type(given).__name__}", "E511")
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -130,7 +145,7 @@ def load_yaml(path: Path) -> Any:
     ValueError
         If it is larger than ``MAX_YAML_BYTES``, or as :func:`parse_yaml`.
     """
-    return parse_yaml(read_regular(path, MAX_YAML_BYTES).decode("utf-8"))
+    return parse_yaml(_text(read_regular(path, MAX_YAML_BYTES)))
 
 
 def parse_yaml(text: str, most_nodes: int = MAX_NODES) -> Any:
@@ -155,8 +170,13 @@ def parse_yaml(text: str, most_nodes: int = MAX_NODES) -> Any:
             return loader.construct_document(node)
         finally:
             loader.dispose()
-    except yaml.YAMLError as error:
-        raise ValueError(f"not valid YAML: {' '.join(str(error).split())}") from None
+    except yaml.MarkedYAMLError as error:
+        mark, problem = error.problem_mark or error.context_mark, error.problem or error.context
+        place = "" if mark is None else f"line {mark.line + 1}: "
+        raise ValueError(f"{place}not valid YAML ({problem}); correct it") from None
+    except yaml.YAMLError as error:  # a character that YAML does not allow
+        reason = " ".join(str(error).split())
+        raise ValueError(f"not valid YAML ({reason}); correct it") from None
 
 
 def load_json(path: Path) -> Any:
@@ -170,11 +190,19 @@ def load_json(path: Path) -> Any:
         If it is not valid JSON, is larger than ``MAX_JSON_BYTES``, is nested too deeply, or
         repeats a key of an object.
     """
-    content = read_regular(path, MAX_JSON_BYTES).decode("utf-8")
+    content = _text(read_regular(path, MAX_JSON_BYTES))
     try:
         return json.loads(content, object_pairs_hook=_reject_repeated_keys)
     except RecursionError:
         raise ValueError("nested too deeply") from None
+
+
+def _text(content: bytes) -> str:
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ValueError(f"line {line}: not UTF-8 text; save the file in UTF-8") from None
 
 
 def _reject_repeated_keys(entries: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -240,6 +240,24 @@ def test_a_result_predicts_and_validates_logs_alone(result, log) -> None:
         sy.validate(result.information, log)
 
 
+def test_other_things_than_paths_are_named(result) -> None:
+    with raises_code("E511", "the model file must be a path, not NoneType"):
+        sy.load_model(None)
+    for other in (None, [3]):
+        with raises_code("E511", "a bag must be a path, not"):
+            sy.load_bag(other)
+    with raises_code("E511", "the folder must be a path, not NoneType"):
+        result.save(None)
+
+
+def test_a_result_is_not_saved_into_a_bag(folder, result) -> None:
+    bag = folder / "log"
+    before = sorted(bag.iterdir())
+    with raises_code("E551", "is the folder of a bag"):
+        result.save(bag)
+    assert sorted(bag.iterdir()) == before
+
+
 def test_options_of_functions_are_one_object_or_fields_of_these_names(robot, log, folder) -> None:
     identify, diagnose = (
         lambda *options, one=one, **fields: one(robot, log, *options, **fields)
@@ -280,7 +298,9 @@ def test_a_prior_of_single_links_is_a_mapping(robot, log, tmp_path) -> None:
     del given[name]
     with raises_code("E403", f"the prior lacks {name}"):
         sy.identify(robot, log, prior={"parameters": given})
-    for wrong in ({"parameters": [1.0]}, {"values": given}, 5):
+    with raises_code("E501", "`prior`: 5 is not valid"):
+        sy.identify(robot, log, prior=5)
+    for wrong in ({"parameters": [1.0]}, {"values": given}):
         with raises_code("E402"):
             sy.identify(robot, log, prior=wrong)
 

@@ -113,6 +113,8 @@ def test_unwritable_paths_are_rejected(tmp_path: Path) -> None:
     for folder in ("file", "file/below", "deep/" + 300 * "x"):
         with pytest.raises(SymbidError, match="cannot write"):
             check_writable(tmp_path / folder)
+    with pytest.raises(SymbidError, match=r"page\.html: cannot write"):
+        check_output_file(tmp_path / "file" / "page.html", lambda _: True)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 

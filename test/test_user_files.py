@@ -58,7 +58,7 @@ def test_plain_data_are_read(tmp_path):
         ("[" * 60 + "]" * 60, "line 1: more than 50 levels deep"),
         ("[" * 100_000, "line 1: more than 50 levels deep"),
         ("a: !!python/object/apply:os.system [id]\n", "not valid YAML"),
-        ("a: [1\n", "not valid YAML"),
+        ("b: 2\na: [1\n", "line 3: not valid YAML"),
         ("a: 1\n---\nb: 2\n", "not valid YAML"),
         ("? [a]\n: 1\n", "not valid YAML"),
         (
@@ -78,7 +78,7 @@ def test_plain_data_are_read(tmp_path):
         ("a: !!timestamp never", "'never' is not a valid timestamp"),
         ("a: !!binary \xe9", "not valid YAML"),
         ("a: \x00", "not valid YAML"),
-        (b"a: \xff", "utf-8"),
+        (b"b: 1\na: \xff", "line 2: not UTF-8 text; save the file in UTF-8"),
         (b" " * (user_files.MAX_YAML_BYTES + 1), "larger than 1 MiB"),
     ],
 )
@@ -93,7 +93,7 @@ def test_invalid_yaml_is_rejected(content, expected, tmp_path):
         ("{", "line 1"),
         ('{"a": 1, "b": {"c": 1, "c": 2}}', "key 'c' is given twice"),
         ("9" * 5000, ""),
-        (b"\xff", "utf-8"),
+        (b"\xff", "line 1: not UTF-8 text"),
         (b" " * (user_files.MAX_JSON_BYTES + 1), "larger than 64 MiB"),
     ],
 )

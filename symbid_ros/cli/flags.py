@@ -83,14 +83,21 @@ def with_flags(function: Callable[..., None]) -> Callable[..., None]:
         filled: list[str] = []
         if takes_robot:
             filled = _fill_from_robot_file(values, values.pop(CONTEXT))
-        for name, kind in groups.items():
-            given = {option.name: values.pop(option.name) for option in options_of(kind)}
-            # None means that the flag was not given.
-            options = kind(**{key: v for key, v in given.items() if v is not None})
-            if isinstance(options, LogOptions):
-                options = replace(options, of_robot=tuple(filled))
-            values[name] = options
-        function(**values)
+        try:
+            for name, kind in groups.items():
+                given = {option.name: values.pop(option.name) for option in options_of(kind)}
+                # None means that the flag was not given.
+                options = kind(**{key: v for key, v in given.items() if v is not None})
+                if isinstance(options, LogOptions):
+                    options = replace(options, of_robot=tuple(filled))
+                values[name] = options
+            function(**values)
+        except OptionError as error:
+            if any(str(error).startswith(f"`{name}`") for name in filled):
+                # In the file, options have their own names and not those of flags.
+                message = f"{values['robot']}: {spelled(str(error), str)}"
+                raise OptionError(message, error.code) from None
+            raise
 
     command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
     command.__annotations__ = {one.name: one.annotation for one in shown}

@@ -3,6 +3,7 @@
 import logging
 import os
 import re
+import shutil
 import tempfile
 import time
 from collections.abc import Mapping
@@ -111,11 +112,14 @@ def live(
     parameters = common | given | {"mode": "online", "memory": memory, "save_time": SAVE_TIME}
     if out is not None:
         parameters["out"] = str(out.resolve())
-    page = common | {"host": host, "port": port}
-    page |= {name: given[name] for name in SHARED_WITH_PAGE if name in given}
+    shared = {name: given[name] for name in SHARED_WITH_PAGE if name in given}
+    page = common | shared | {"host": host, "port": port}
     environment = dict(os.environ)
     space = f"/{namespace.strip('/')}"
-    console.print(f"preparing: starting the nodes; their logs are in {logs}", **AS_IT_IS)
+    console.print(
+        f"preparing: starting the nodes; their logs are in {logs}, which is kept after an error",
+        **AS_IT_IS,
+    )
     name = unused_node_name("identifier", space, environment)
     if name != "identifier":
         console.print(
@@ -138,8 +142,7 @@ def live(
         try:
             shown = [identifier]
             if web:
-                page |= watched
-                started = start_page(page, environment, logs, console, remapped)
+                started = start_page(page | watched, environment, logs, console, remapped)
                 shown.append(others.enter_context(started))
             monitor = NodeProcess(
                 "monitor",
@@ -159,6 +162,7 @@ def live(
             if out is not None:
                 console.print("saving: the estimate from all data is computed", **AS_IT_IS)
             summary = _finish(identifier)
+    shutil.rmtree(logs, ignore_errors=True)
     report_end(summary, console)
 
 

@@ -1,6 +1,6 @@
 """Findings about the signs, gains and units of efforts."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -66,9 +66,18 @@ def common_unit(factors: Collection[float]) -> float | None:
     return 10.0**power if is_unit and len(powers) >= FEWEST_OF_A_UNIT else None
 
 
-def may_be_in_milli(times_limit: float) -> bool:
-    """Return whether efforts may be in mNm whose RMS is this many times the limit."""
-    return TIMES_LIMIT[0] < times_limit < TIMES_LIMIT[1]
+def joints_in_milli(times_limits: Mapping[str, float], driven: Sequence[str]) -> list[str]:
+    """Return the joints whose efforts may be in mNm; all driven ones if most of them may be.
+
+    Parameters
+    ----------
+    times_limits : mapping of str to float
+        RMS efforts over the limits of the model, of joints beyond them.
+    driven : sequence of str
+        All driven joints. One driver gives the efforts of all joints in one unit.
+    """
+    found = [name for name, one in times_limits.items() if TIMES_LIMIT[0] < one < TIMES_LIMIT[1]]
+    return list(driven) if 2 * len(found) > len(driven) else found
 
 
 def effort_findings(
@@ -122,7 +131,7 @@ def effort_findings(
         )
         return
     if excess := {name: beyond[name] for name in unknown if name in beyond and not usual}:
-        yield _limit_finding(topic, excess, conversions)
+        yield _limit_finding(topic, excess, (*known, *unknown), conversions)
     line = conversions.effort_line(factors)
     drives = "all" if are_all else ",".join(factors)
     action = f"write {line}, or give `drive_gain` {drives} to identify the factors"
@@ -158,7 +167,10 @@ def _unit_finding(topic: str, reads: Mapping[str, float], unit: float, line: str
 
 
 def _limit_finding(
-    topic: str, excess: Mapping[str, tuple[float, float]], conversions: SignConversions
+    topic: str,
+    excess: Mapping[str, tuple[float, float]],
+    driven: Sequence[str],
+    conversions: SignConversions,
 ) -> Finding:
     """Return the finding that the RMS efforts of joints exceed their limits."""
     ratios = {name: effort / limit for name, (effort, limit) in excess.items()}
@@ -166,7 +178,8 @@ def _limit_finding(
         f"{name} {effort:.3g} of {limit:g}" for name, (effort, limit) in excess.items()
     )
     action = "check their unit"
-    if may_be_milli := [name for name, one in ratios.items() if may_be_in_milli(one)]:
+    may_be_milli = joints_in_milli(ratios, driven)
+    if may_be_milli:
         line = conversions.effort_line(dict.fromkeys(may_be_milli, MILLI))
         action += f", and for mNm write {line}"
     return Finding(

@@ -93,8 +93,14 @@ class ModelGate:
     """
 
     def __init__(self, largest_change: float = 0.25) -> None:
-        if not largest_change > 0:
-            raise OptionError(f"`largest_change` must be positive, got {largest_change}", "E501")
+        try:
+            is_positive = largest_change > 0
+        except TypeError:  # such as a text
+            is_positive = False
+        if not is_positive:
+            raise OptionError(
+                f"`largest_change` must be a number above 0, got {largest_change!r}", "E501"
+            )
         self._largest_change = largest_change
         self._known = np.full(2, np.inf)
 
@@ -128,8 +134,20 @@ class ModelGate:
             state, Nm.
         torque_limit : (A,) float64
             Largest torques of the drives, Nm.
+
+        Raises
+        ------
+        DataError
+            When these arrays differ in length.
         """
-        reason = self.fault(candidate) or self._jump(torque_change, torque_limit)
+        change, limit = np.asarray(torque_change), np.asarray(torque_limit)
+        if change.shape != limit.shape or change.ndim != 1:
+            raise DataError(
+                f"torque_change has shape {change.shape} and torque_limit {limit.shape}; give one "
+                "number for each drive in both",
+                "E511",
+            )
+        reason = self.fault(candidate) or self._jump(change, limit)
         if not reason:
             self._known = candidate.uncertainty
         return reason
@@ -150,7 +168,11 @@ class ModelGate:
         return f"physically impossible: {', '.join(impossible)}" if impossible else ""
 
     def _jump(self, change: FloatArray, limit: FloatArray) -> str:
-        share = np.abs(change) / limit
+        if not len(change):
+            return ""
+        # A drive without torque may not change at all.
+        share = np.where(change == 0.0, 0.0, np.inf)
+        np.divide(np.abs(change), limit, out=share, where=limit != 0.0)
         worst = int(np.argmax(share))
         # Written so that NaN is refused too.
         if not share[worst] <= self._largest_change:

@@ -113,8 +113,8 @@ class ExciteOptions(MountingOptions):
     feet: tuple[str, ...] = option(
         (),
         "Frames on which a robot with a floating base stands, comma-separated, as FRAME for a "
-        "flat sole, or FRAME:point. A foot that is a ball in the model rolls; FRAME:RADIUS gives "
-        "another radius, m. The base then moves, and the feet stay.",
+        "flat sole, or FRAME:point. A foot that is a ball in the model is a point and rolls; "
+        "FRAME:RADIUS gives another radius, m. The base then moves, and the feet stay.",
         unset="the base is fixed",
         group=STANDING,
     )

@@ -28,9 +28,18 @@ SOLE_THICKNESS, SMALLEST_SOLE = 0.01, 0.02
 _POINT = "give {}:point in `feet` if it touches the ground in a point"
 
 
-def contact_names(options: ExciteOptions) -> tuple[str, ...]:
+def contact_names(robot: RobotModel, options: ExciteOptions) -> tuple[str, ...]:
     """Return the feet without a wrench sensor, as FRAME, FRAME:point or FRAME:RADIUS."""
-    return split_names(options.contact)
+    return _feet(robot, options.contact)
+
+
+def _feet(robot: RobotModel, values: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of feet; a ball is no sole, so it is a point where nothing else is said."""
+    names = split_names(values)
+    return tuple(
+        f"{name}:point" if ":" not in name and robot.frame(name, "feet").radius else name
+        for name in names
+    )
 
 
 def split_names(values: tuple[str, ...]) -> tuple[str, ...]:
@@ -47,7 +56,7 @@ def find_stance(robot: RobotModel, options: ExciteOptions) -> Stance:
         When a frame is unknown, or the feet are not on one plane.
     """
     feet = []
-    for name in split_names(options.feet):
+    for name in _feet(robot, options.feet):
         frame, _, kind = name.partition(":")
         if not is_contact_kind(kind):
             raise OptionError(

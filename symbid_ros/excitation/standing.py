@@ -62,7 +62,7 @@ def standing_problem(
         name = "joints" if options.joints else "floor"
         raise OptionError(f"`{name}` has no effect on a standing robot; leave it out", "E920")
     stance = find_stance(robot, options)
-    complete = with_contacts(robot, contact_names(options))
+    complete = with_contacts(robot, contact_names(robot, options))
     parameters, values, factor, prior = known_before(complete, options)
     legs = stance.leg_joints.tolist()
     named = {robot.joint_names[index]: robot.joints[index] for index in legs}

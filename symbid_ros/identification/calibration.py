@@ -14,7 +14,7 @@ from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.drift_evidence import drift_by_evidence
-from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
+from symbid_ros.identification.drive_gains import InitialFactors
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.stance_closure import (
     RestingSoles,
@@ -328,7 +328,7 @@ def _prior_errors(
     if request.factors is not None:
         place = errors.places[DRIVE_GAIN]
         mean[place] = request.factors.values[errors.gained_joints]
-        std[place] = SPREAD * np.abs(mean[place])
+        std[place] = request.factors.spread * np.abs(mean[place])
     if "plate_offset" in errors.kinds:
         place = errors.places["plate_offset"]
         for index, frame in enumerate(errors.wrench_frames):

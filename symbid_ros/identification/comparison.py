@@ -43,7 +43,7 @@ class Comparison:
 
 @on_one_blas_thread
 def compare(
-    results: Sequence[Result | str | Path], log: Log, *, payload: Sequence[str] = ()
+    results: Sequence[Result | str | Path], log: Log, *, payload: str | Sequence[str] = ()
 ) -> Comparison:
     """Rank results by their error on a log, all on the same rows.
 
@@ -56,7 +56,7 @@ def compare(
         Results, or folders of saved ones, of robots with the same joints.
     log : Log
         Measurements that no identification used.
-    payload : sequence of str
+    payload : str or sequence of str
         As of :func:`validate`.
 
     Raises

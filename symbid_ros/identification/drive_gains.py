@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 # Share by which the better sign must reduce the square error.
 DECIDED = 0.1
-# Standard deviation of a factor, relative to its first guess.
+# Standard deviation of a factor of unknown unit, relative to its first guess.
 SPREAD = 1.0
 # What calibrated joints tell of the other factors, as the share of a joint's effort that the links
 # explain: they decide where these explain next to nothing.
@@ -56,7 +56,9 @@ class InitialFactors:
         Those whose sign the log does not show; it is taken as positive.
     tell_scale : bool
         Whether the guesses tell the common scale. They do not if other joints are calibrated and
-        the links explain next to nothing of these efforts.
+        the links explain next to nothing of these efforts, or if the prior holds it.
+    spread : float
+        Standard deviation of a factor, relative to its first guess.
     """
 
     joints: tuple[str, ...]
@@ -64,6 +66,13 @@ class InitialFactors:
     weights: FloatArray
     unsigned: tuple[str, ...] = ()
     tell_scale: bool = True
+    spread: float = SPREAD
+
+    @classmethod
+    def near_one(cls, joints: tuple[str, ...], count: int, spread: float) -> "InitialFactors":
+        """Return factors of efforts in Nm or N of some of ``count`` joints, whose prior is 1."""
+        weights = np.full(len(joints), 1 / len(joints))
+        return cls(joints, np.ones(count), weights, tell_scale=False, spread=spread)
 
     def report(self, source: str) -> None:
         """Warn about joints of a log whose sign is not known."""

@@ -3,6 +3,9 @@
 Links follow such errors in part: residuals stay small, and masses come out far off. With a factor
 on each effort as a further unknown, both fit. The readings of a wrist sensor are efforts too; they
 have one factor in common, relative to the efforts of the joints.
+
+Where no joint stands out, factors of all joints near 1 may be what possible links need to explain
+the log: torque constants of data sheets err by ten percent and more.
 """
 
 from collections.abc import Callable, Mapping
@@ -29,9 +32,14 @@ from symbid_ros.signals.sensor_errors import DRIVE_GAIN, SensorErrors
 # Prior deviation of the factors, and their least mean square in deviations. It is .2 to 3.5 on
 # simulated arms with right efforts.
 PLAUSIBLE, LEAST_SQUARE = 0.2, 5.0
+# Least mean square, in posterior deviations, by which possible links differ from the most probable
+# ones, for factors of all joints near 1. It is up to .02 on simulated arms with right efforts.
+LEAST_EXCESS = 0.3
 # Most of the held-out error that remains with the factors: its share, and its size in percent.
 # Above that, something else is wrong, which factors follow.
 REMAINS, UNDERSTOOD = 0.9, 10.0
+# The share with factors near 1 of all joints.
+REMAINS_NEAR = 0.95
 # The share if the factors of the named joints alone do not explain the log.
 REMAINS_OPEN = 0.85
 # Part of the improvement by factors of all joints that those of the named ones must bring.
@@ -61,10 +69,20 @@ class WrongFactors:
     alarm : str
     trial : Trial or None
         The identification in which these factors are unknowns; None if it explains too little.
+    others_agree : bool
+        Whether the other joints' factors are so alike that they can be taken as right.
     """
 
     alarm: str
     trial: Trial | None
+    others_agree: bool = False
+
+
+class _Unlike(NamedTuple):
+    """Joints whose efforts differ from those of the others, with the factors of their readings."""
+
+    factors: dict[str, float]
+    others_agree: bool
 
 
 def wrong_factors(
@@ -72,7 +90,10 @@ def wrong_factors(
 ) -> WrongFactors | None:
     """Return which efforts' factors explain a log better; None if none do.
 
-    These joints' factors alone are identified: the others give the scale.
+    If some joints differ from others that agree, their factors alone are identified: the others
+    give the scale. If the others do not agree, or possible links explain the log much worse than
+    others do, factors near 1 of all joints are identified where these predict the end of the log
+    better.
 
     Parameters
     ----------
@@ -83,40 +104,57 @@ def wrong_factors(
         Identifies another problem of the log.
     """
     before = checked.percent_after
-    if before is None or not _is_candidate(problem) or _square(problem.solved) < LEAST_SQUARE:
+    if before is None or not _is_candidate(problem):
         return None
 
-    def trial_with(joints: tuple[str, ...], most: float) -> Trial | None:
+    def trial_with(
+        joints: tuple[str, ...], most: float, percent: float | None = None
+    ) -> Trial | None:
         """Return an identification with factors of joints, if it errs by at most ``most``, %."""
         try:
-            trial = tried(problem.with_drive_gains(joints))
+            trial = tried(problem.with_drive_gains(joints, percent))
         except SymbidError:
             return None
         after = trial.checked.percent_after
         return trial if after is not None and after <= most else None
 
+    found = None
+    if _square(problem.solved) > LEAST_SQUARE:
+        found = _of_some_joints(before, trial_with)
+    is_near = _excess(problem.solved) > LEAST_EXCESS if found is None else not found.others_agree
+    if not is_near:
+        return found
+    near = trial_with(("all",), REMAINS_NEAR * before, 100 * PLAUSIBLE)
+    return found if near is None else WrongFactors(_near_alarm(near, before), near)
+
+
+def _of_some_joints(before: float, trial_with: Callable[..., Trial | None]) -> WrongFactors | None:
+    """Return the joints whose efforts have other factors than those of most joints, if any."""
     every = trial_with(("all",), min(REMAINS * before, UNDERSTOOD))
-    unlike = {} if every is None else _unlike(every.problem.solved)
-    if every is None or not unlike:
+    unlike = None if every is None else _unlike(every.problem.solved)
+    if every is None or unlike is None:
         return None
     improvement = before - (every.checked.percent_after or 0.0)
-    some = trial_with(tuple(unlike), before - LEAST_PART * improvement)
+    some = trial_with(tuple(unlike.factors), before - LEAST_PART * improvement)
     if some is not None:
-        said = _alarm(_factors(some.problem.solved), before, some.checked)
+        said = _alarm(_factors_of(some), before, some.checked)
         return WrongFactors(
             f"{said}; the factors of these joints are identified, `drive_gain` none takes their "
             "efforts as they are",
             some,
+            unlike.others_agree,
         )
     if (every.checked.percent_after or 0.0) > REMAINS_OPEN * before:
         return None
     line = robot_file_line(
-        "effort_scale", *(f"{name}:={1 / at:.3g}" for name, at in unlike.items())
+        "effort_scale", *(f"{name}:={1 / at:.3g}" for name, at in unlike.factors.items())
     )
     return WrongFactors(
-        f"{_alarm(unlike, before, every.checked)}, or write {line}, or let `drive_gain` all "
-        "identify the factors, which leaves the scale of the masses open without a known payload",
+        f"{_alarm(unlike.factors, before, every.checked)}, or write {line}, or let `drive_gain` "
+        "all identify the factors, which leaves the scale of the masses open without a known "
+        "payload",
         None,
+        unlike.others_agree,
     )
 
 
@@ -129,6 +167,23 @@ def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str
         f"end of the log is predicted to {checked.percent_after:.2g} instead of {before:.2g} %; "
         "check torque constants and gear ratios"
     )
+
+
+def _near_alarm(near: Trial, before: float) -> str:
+    named = ", ".join(f"{joint} {factor:.2g}" for joint, factor in _factors_of(near).items())
+    return (
+        f"{Alarm.UNCERTAIN_FACTORS} (reading over torque: {named}); with these, the end of the log "
+        f"is predicted to {near.checked.percent_after:.2g} instead of {before:.2g} %; check torque "
+        "constants, gear ratios and link lengths; the factors are identified and assumed to be 1 "
+        f"within about {100 * PLAUSIBLE:.0f} %, `drive_gain` none takes efforts as they are"
+    )
+
+
+def _excess(solved: SolvedProblem) -> float:
+    """Return the mean square of the change by limits of possible links, in deviations."""
+    found = solved.posterior
+    change = found.factor @ (solved.consistent_unknowns() - found.mean)
+    return float(change @ change) / len(change)
 
 
 def _is_candidate(problem: LoadedProblem) -> bool:
@@ -203,8 +258,9 @@ def wrist_sensor_alarms(problem: LoadedProblem) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _factors(solved: SolvedProblem) -> dict[str, float]:
+def _factors_of(trial: Trial) -> dict[str, float]:
     """Return the joints whose factors are unknowns, with reading over torque."""
+    solved = trial.problem.solved
     gains = solved.posterior.mean[len(solved.problem.parameters) :]
     names = solved.problem.sensor_names
     return {
@@ -212,30 +268,38 @@ def _factors(solved: SolvedProblem) -> dict[str, float]:
     }
 
 
-def _unlike(solved: SolvedProblem) -> dict[str, float]:
-    """Return the joints whose efforts differ from those of the others, and the factors.
+def _unlike(solved: SolvedProblem) -> _Unlike | None:
+    """Return which joints' efforts differ from those of the others.
 
-    It is empty if some factors are implausible.
+    It is None if none do, or if some factors are implausible.
     """
     count = len(solved.problem.parameters)
     names, found = solved.problem.sensor_names, solved.posterior
     gains: FloatArray = found.mean[count:]
-    relative = np.linalg.norm(found.deviation_factor[count:], axis=1) / np.abs(gains)
+    deviations = found.deviation_factor[count:] / np.abs(gains)[:, None]
+    relative = np.linalg.norm(deviations, axis=1)
     logs = np.log(np.abs(gains))
     # The factor that most joints with well-known factors have is taken as right.
     known = CERTAIN * relative < PLAUSIBLE
     if not known.any():
-        return {}
+        return None
     apart = np.abs(logs[:, None] - logs)
     is_alike = apart < np.maximum(CERTAIN * np.hypot(relative[:, None], relative), RELEVANT)
     is_alike &= known & known[:, None]
     usual = is_alike[np.lexsort([relative, -is_alike.sum(axis=1)])[0]]
     change = np.average(logs[usual], weights=relative[usual] ** -2) - logs
     is_unlike = known & (np.abs(change) > np.maximum(CERTAIN * relative, RELEVANT))
-    if np.any(np.abs(change[is_unlike]) > np.log(LARGEST)):
-        return {}
-    return {
-        name.rpartition("/")[0]: float(one)
-        for name, one, unlike in zip(names, np.exp(change), is_unlike, strict=True)
-        if unlike
-    }
+    if not is_unlike.any() or np.any(np.abs(change[is_unlike]) > np.log(LARGEST)):
+        return None
+    # That half of the factors agree to a few percent is no chance: these are right.
+    ratios = CERTAIN * np.linalg.norm(deviations[:, None] - deviations, axis=2)
+    agree = (apart < ratios) & (ratios < RELEVANT)
+    alike = int(np.max(agree[np.ix_(usual, usual)].sum(axis=1))) + 1
+    return _Unlike(
+        {
+            name.rpartition("/")[0]: float(one)
+            for name, one, unlike in zip(names, np.exp(change), is_unlike, strict=True)
+            if unlike
+        },
+        alike > 1 and 2 * alike >= int(known.sum()),
+    )

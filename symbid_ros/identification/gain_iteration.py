@@ -25,7 +25,7 @@ from symbid_ros.identification.calibration import (
     padded,
 )
 from symbid_ros.identification.dataset import Dataset, observe
-from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
+from symbid_ros.identification.drive_gains import InitialFactors
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet
@@ -127,7 +127,7 @@ def identify_gains(
         NOISY_CHANNELS,
         candidates=parameters.candidates,
     )
-    unknowns = _Gains(errors.names, factors.values[joints], factors.weights)
+    unknowns = _Gains(errors.names, factors.values[joints], factors.weights, factors.spread)
     gains = unknowns.guess
     for turn in range(ROUNDS):
         known = tuple(columns.converted(one, gains) for one in raw)
@@ -165,6 +165,8 @@ class _Gains:
         First guesses.
     weights : (r,) float64
         Share of each in the common scale.
+    spread : float
+        Standard deviation of each, relative to its guess.
     holds_scale : bool
         Whether the log leaves the common scale open, so that it is that of the first guesses.
     """
@@ -172,6 +174,7 @@ class _Gains:
     names: tuple[str, ...]
     guess: FloatArray
     weights: FloatArray
+    spread: float
     holds_scale: bool = False
 
     def added(self, problem: Problem, gains: FloatArray) -> Problem:
@@ -180,7 +183,7 @@ class _Gains:
         The prior is one of the logarithms.
         """
         change = np.log(gains / self.guess)
-        std = SPREAD * np.abs(gains)
+        std = self.spread * np.abs(gains)
         measurements = padded(problem.pseudo_measurements, len(gains))
         if self.holds_scale:
             row = self._scale(len(problem.parameters), gains)[None] / ASSUMED_STD

@@ -128,6 +128,8 @@ def identified_robot(folder: Path, robot: Path, estimate: Estimate) -> RobotMode
     mjcf = is_mjcf(robot)
     source = load_model(robot, base)
     file = folder / MODEL_FILES[mjcf]
+    if not mjcf:
+        _refuse_negative_masses(folder, estimate)
     try:
         found = load_mjcf(file, base) if mjcf else load_urdf(file, base)
     except ModelError as error:
@@ -149,6 +151,17 @@ def identified_robot(folder: Path, robot: Path, estimate: Estimate) -> RobotMode
     )
     identified = source.with_phi(np.array([phi[name] for name in source.link_names]))
     return with_nonnegative_terms(replace(identified, joints=joints))
+
+
+def _refuse_negative_masses(folder: Path, estimate: Estimate) -> None:
+    values = zip(estimate.names, estimate.value.tolist(), strict=True)
+    links = [name[: -len("/m")] for name, value in values if name.endswith("/m") and value < 0]
+    if links:
+        raise EstimateError(
+            f"{folder}: the identified mass of {', '.join(links)} is negative, which no URDF may "
+            "have; identify the log with `method` map_lmi",
+            "E577",
+        )
 
 
 def _difference(one: RobotModel, other: RobotModel) -> str:
@@ -283,6 +296,7 @@ def inertials_yaml(folder: Path) -> str:
         When a file of the result is missing or invalid.
     """
     estimate = load_estimate(folder / "estimate.json")
+    _refuse_negative_masses(folder, estimate)
     path = folder / "model.urdf"
     reader = UrdfReader(str(path), read_xml(path))
     links = {

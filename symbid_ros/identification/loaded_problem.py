@@ -119,9 +119,15 @@ class LoadedProblem:
         solved = setup.solve(self.columns, self.dataset)
         return replace(self, options=options, prior=prior, solved=solved, tares=tares)
 
-    def with_drive_gains(self, joints: tuple[str, ...]) -> "LoadedProblem":
-        """Return the same log with the factors of some joints' efforts as unknowns."""
-        return self.with_prior(self.prior, replace(self.options, drive_gain=joints))
+    def with_drive_gains(
+        self, joints: tuple[str, ...], percent: float | None = None
+    ) -> "LoadedProblem":
+        """Return the same log with the factors of some joints' efforts as unknowns.
+
+        ``percent`` is their standard deviation about 1; None if their unit is unknown.
+        """
+        options = replace(self.options, drive_gain=joints, drive_gain_percent=percent)
+        return self.with_prior(self.prior, options)
 
     def trial_on(self, dataset: Dataset, columns: ParameterSet) -> "LoadedProblem":
         """Return the same problem with another log and its columns, solved to few digits."""

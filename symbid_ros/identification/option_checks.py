@@ -149,6 +149,10 @@ def _check_method(options: "IdentifyOptions") -> None:
 
 
 def _check_further_unknowns(options: "IdentifyOptions") -> None:
+    if options.drive_gain_percent is not None and not options.drive_gains:
+        raise OptionError(
+            "`drive_gain_percent` has no effect without `drive_gain`; name the joints", "E503"
+        )
     if options.drive_gains and options.information is not None:
         raise OptionError(
             "`information` of earlier logs has efforts in Nm and cannot be added to a log with "

@@ -56,6 +56,21 @@ EFFORT_SIDES = "motor", "link"
 WEIGHING_STD = 0.05  # kg; what a good floor scale does
 
 
+def _is_log(value: Any) -> bool:
+    from symbid_ros.signals.log import Log  # noqa: PLC0415 - loads NumPy, which no command's help needs
+
+    return isinstance(value, Log)
+
+
+def _is_loaded_log(value: Any) -> bool:
+    is_pair = isinstance(value, tuple) and len(value) == 2
+    return is_pair and _is_log(value[0]) and isinstance(value[1], str)
+
+
+def _is_mapping(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
 @dataclass(frozen=True, kw_only=True)
 class IdentifyOptions(RobotOptions):
     """Options of an identification; the defaults suit most logs.
@@ -76,6 +91,7 @@ class IdentifyOptions(RobotOptions):
     prior: PriorSource | None = option(
         None,
         "Prior file (prior.json).",
+        accepts=_is_mapping,
         group=KNOWN,
         unset="values of the model; the data decide how far to trust them",
     )
@@ -131,6 +147,7 @@ class IdentifyOptions(RobotOptions):
     tare: tuple[Source, ...] = option(
         (),
         "Bag recorded with unloaded wrench sensors; sensor errors are then identified as well.",
+        accepts=_is_log,
         group=KNOWN,
     )
     payload: tuple[PayloadSource, ...] = option(
@@ -138,6 +155,7 @@ class IdentifyOptions(RobotOptions):
         "Known payload LINK,MASS,X,Y,Z (kg; m in the link's axes) that the robot carries, such as "
         "tool0,2.5,0,0,0.06; with BAG: before it, in a further bag that is identified together "
         "with the others. Without X,Y,Z its place is identified too.",
+        accepts=_is_loaded_log,
         group=KNOWN,
         metavar="PAYLOAD",
     )
@@ -173,6 +191,15 @@ class IdentifyOptions(RobotOptions):
         "a comma-separated list. One factor for each is identified.",
         group=JOINTS,
         unset="those whose efforts have clearly wrong factors in logs of arms",
+    )
+    drive_gain_percent: float | None = option(
+        None,
+        "Standard deviation of the factors of `drive_gain` about 1, such as 20 for efforts in Nm "
+        "by torque constants of data sheets.",
+        unit="%",
+        positive=True,
+        group=JOINTS,
+        unset="the unit and the sign are unknown",
     )
     effort_side: tuple[str, ...] = option(
         (),
@@ -248,10 +275,13 @@ class IdentifyOptions(RobotOptions):
         unset="as many as the data determine better than the prior",
     )
     choose_truncation: Source | None = option(
-        None, "Bag on which to choose the number of singular values.", group=TRUNCATED
+        None,
+        "Bag on which to choose the number of singular values.",
+        accepts=_is_log,
+        group=TRUNCATED,
     )
     validate: Source | None = option(
-        None, "Deprecated name of `choose_truncation`.", group=TRUNCATED
+        None, "Deprecated name of `choose_truncation`.", accepts=_is_log, group=TRUNCATED
     )
     select_by: Criterion = option(
         "gen_force", "Prediction error that is minimised on `choose_truncation`.", group=TRUNCATED

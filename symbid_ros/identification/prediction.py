@@ -22,7 +22,7 @@ from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, Processing
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import load_estimated_model
-from symbid_ros.model.load import load_model
+from symbid_ros.model.load import load_identified_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import RobotModel
@@ -407,7 +407,7 @@ def load_result_robot(folder: Path, estimate: Estimate) -> RobotModel:
     if estimate.base == "fixed":
         base = "fixed"
     try:
-        return load_model(folder / name, base)
+        return load_identified_model(folder / name, base)
     except SymbidError as error:
         raise EstimateError(
             f"{folder}: its model cannot be read ({error}); identify the log again", "E527"

@@ -146,7 +146,9 @@ class ProblemSetup:
             )[:, 0]
             segments = ConvertedSegments(dataset.segments, factors)
             dataset = fold_dataset(segments, dataset.source, parameters, Processing.of(options))
-        exact = replace(options, drive_gain=(), sensor_errors=("none",), tare=())
+        exact = replace(
+            options, drive_gain=(), drive_gain_percent=None, sensor_errors=("none",), tare=()
+        )
         return ProblemSetup(exact, self.prior).solve(parameters, dataset), dataset
 
 
@@ -157,6 +159,9 @@ def first_factors(
     joints = named_joints(options.drive_gains, parameters.model)
     if not joints:
         return None
+    if options.drive_gain_percent is not None:
+        spread = options.drive_gain_percent / 100
+        return InitialFactors.near_one(joints, len(parameters.model.joints), spread)
     mean = prior.mean
     if parameters.model.wrist_sensors:
         mean = with_measured_loads(mean, dataset.observations[0], parameters)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.atomic_write import refuse_bag_folder
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import load_archive, write_archive
@@ -29,6 +30,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import without_wrist_sensors
 from symbid_ros.signals.log import Log, require_log
+from symbid_ros.user_files import as_path
 
 if TYPE_CHECKING:
     import pandas
@@ -344,13 +346,18 @@ class Result:
 
         Raises
         ------
+        DataError
+            When ``folder`` is not a path.
+        SymbidError
+            When it is the folder of a bag.
         EstimateError
-            When a file cannot be written; the other files are written.
+            When a file cannot be written. The folder is then left as it is, and the message names
+            the temporary folder with the files that can be written.
         """
-        write_identification(
-            self._identification, self._parameters, Path(folder), kinematics=kinematics
-        )
-        return Path(folder)
+        path = as_path("the folder", folder)
+        refuse_bag_folder(path)
+        write_identification(self._identification, self._parameters, path, kinematics=kinematics)
+        return path
 
     def __repr__(self) -> str:
         determined = sum(one.is_determined for one in self.parameters.values())

@@ -1,6 +1,7 @@
 """Files of a result: estimate, information, data of the report, and the robot as URDF and MJCF."""
 
 import logging
+import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -64,13 +65,13 @@ def write_identification(
     ``CALIBRATED`` hold the same robot with the identified joint placements. ``MODEL_FILES`` keep
     those of the user's file, to which the identified placements are added in predictions.
 
-    If a file cannot be written, the others are. If the folder is no longer writable, estimate and
-    information go to a temporary folder.
+    If a file cannot be written, the folder is left as it is, so that it never holds files of two
+    results. All that can be written goes to a temporary folder.
 
     Raises
     ------
     EstimateError
-        When a file could not be written; the message names that file and those saved.
+        When a file could not be written; the message names the temporary folder and what it holds.
     """
     estimate = found.estimate
     of_model = replace(
@@ -78,41 +79,38 @@ def write_identification(
         model_file=_model_file(parameters.model),
         base="floating" if parameters.model.floating else "fixed",
     )
-    results: dict[str, Callable[[Path], object]] = {
-        "information.npz": lambda path: write_archive(
-            path, found.observations, found.deviation_factor, found.calibration
-        ),
-        "estimate.json": lambda path: write_estimate(path, of_model),
-    }
-    if found.report is not None:
-        results[REPORT_DATA] = found.report.write
-    models: dict[str, Callable[[Path], object]] = {
-        "model.urdf": lambda path: write_text(path, export_urdf(estimate, parameters)),
-        "model.xml": lambda path: _write_mjcf(path, export_mjcf(estimate, parameters, out)),
-    }
-    if kinematics:
-        calibrated = Calibrated.of(found, parameters)
-        models |= {
-            CALIBRATED[0]: lambda path: write_text(path, calibrated.urdf()),
-            CALIBRATED[1]: lambda path: _write_mjcf(path, calibrated.mjcf(out)),
+
+    def outputs(place: Path) -> dict[str, Callable[[Path], object]]:
+        """Return what writes each file of a result that will lie in a folder."""
+        writers: dict[str, Callable[[Path], object]] = {
+            "information.npz": lambda path: write_archive(
+                path, found.observations, found.deviation_factor, found.calibration
+            ),
+            "estimate.json": lambda path: write_estimate(path, of_model),
+            "model.urdf": lambda path: write_text(path, export_urdf(estimate, parameters)),
+            "model.xml": lambda path: _write_mjcf(path, export_mjcf(estimate, parameters, place)),
         }
-    outputs = results | models
+        if found.report is not None:
+            writers[REPORT_DATA] = found.report.write
+        if kinematics:
+            calibrated = Calibrated.of(found, parameters)
+            writers |= {
+                CALIBRATED[0]: lambda path: write_text(path, calibrated.urdf()),
+                CALIBRATED[1]: lambda path: _write_mjcf(path, calibrated.mjcf(place)),
+            }
+        return writers
+
     try:
         with staged(out) as stage:
-            failures = _write_all(outputs, stage, out)
+            failures = _write_all(outputs(out), stage, out)
+            if failures:
+                raise EstimateError(next(iter(failures.values())), "E522")
     except SymbidError as error:
-        failures = dict.fromkeys(outputs, str(error))
+        raise EstimateError(f"{error}; {_write_to_temporary_folder(outputs)}", "E522") from None
     _log_unwritten(parameters, estimate, out)
-    if not failures:
-        if found.report is None:  # that of an earlier result does not belong to this one
-            (out / REPORT_DATA).unlink(missing_ok=True)
-        return tuple(sorted(outputs))
-    first = next(iter(failures.values()))
-    saved = [name for name in outputs if name not in failures]
-    done = f"{', '.join(saved)} written to {out}" if saved else ""
-    if lost := {name: write for name, write in results.items() if name in failures}:
-        done = ", ".join(filter(None, [done, _write_to_temporary_folder(lost)]))
-    raise EstimateError(f"{first}; {done}; not written: {', '.join(failures)}", "E522")
+    if found.report is None:  # that of an earlier result does not belong to this one
+        (out / REPORT_DATA).unlink(missing_ok=True)
+    return tuple(sorted(outputs(out)))
 
 
 def _model_file(model: RobotModel) -> str:
@@ -158,8 +156,10 @@ def _log_unwritten(parameters: ParameterSet, estimate: Estimate, out: Path) -> N
             out,
             " and ".join(lost),
         )
+    impossible = _impossible_links(estimate)
+    kept = f"impossible bodies, which other programs may refuse: {', '.join(impossible)}"
     for name, remarks in (
-        ("model.urdf", unwritten(identified)),
+        ("model.urdf", (*([kept] if impossible else []), *unwritten(identified))),
         ("model.xml", replaced_values(identified)),
     ):
         for remark in remarks:
@@ -181,15 +181,21 @@ def _write_all(
     return failures
 
 
-def _write_to_temporary_folder(outputs: Mapping[str, Callable[[Path], object]]) -> str:
+def _write_to_temporary_folder(
+    outputs: Callable[[Path], Mapping[str, Callable[[Path], object]]],
+) -> str:
     """Write files into a new temporary folder and return a description of the result."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="symbid_"))
     except OSError:
         return "no temporary folder is writable either"
-    failures = _write_all(outputs, folder, folder)
-    saved = [name for name in outputs if name not in failures]
-    return f"{', '.join(saved) or 'nothing'} written to {folder} instead"
+    failures = _write_all(outputs(folder), folder, folder)
+    saved = [name for name in outputs(folder) if name not in failures]
+    if not saved:
+        shutil.rmtree(folder, ignore_errors=True)
+        return "no file could be written to a temporary folder either"
+    lost = f"; not written: {', '.join(failures)}" if failures else ""
+    return f"{', '.join(saved)} written to {folder} instead{lost}"
 
 
 def export_urdf(estimate: Estimate, parameters: ParameterSet) -> str:
@@ -276,8 +282,12 @@ def _mjcf(
 
 
 def _warning(estimate: Estimate) -> str:
-    impossible = [link for link, possible in estimate.consistent.items() if not possible]
+    impossible = _impossible_links(estimate)
     return f"physically impossible: {', '.join(impossible)}" if impossible else ""
+
+
+def _impossible_links(estimate: Estimate) -> list[str]:
+    return [link for link, is_possible in estimate.consistent.items() if not is_possible]
 
 
 @dataclass(frozen=True)
@@ -321,6 +331,7 @@ def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
     model = with_wrist_sensors(model, estimate.wrist_sensors)
     if estimate.gravity is not None and not model.floating:
         model = replace(model, gravity=np.array(estimate.gravity))
+    _require_links(file, estimate, model)
     # The model may be the true robot, with friction that the estimate does not have.
     parameters = estimate.parameters_of(model)
     if set(parameters.names) != set(estimate.names):
@@ -347,6 +358,21 @@ def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
     if calibration is not None:
         calibration = _calibration_in_order(calibration, order, estimate, factor, archive)
     return EstimatedModel(parameters, ordered.value, ordered, factor, calibration)
+
+
+def _require_links(file: Path, estimate: Estimate, model: RobotModel) -> None:
+    """Check that the links of an estimate are those of a model, before its joints are looked up."""
+    masses = (
+        {name for name in names if name.endswith("/m")}
+        for names in (estimate.names, ParameterSet(model).names)
+    )
+    if differing := set.symmetric_difference(*masses):
+        link = min(differing).removesuffix("/m")
+        raise EstimateError(
+            f"{model.source} is not the robot of {file}: only one of them has the link {link!r}; "
+            "give the model that was identified",
+            "E512",
+        )
 
 
 def _calibration_in_order(

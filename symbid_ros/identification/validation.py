@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import IntArray
 from symbid_ros.blas_threads import on_one_blas_thread
-from symbid_ros.errors import DataError
+from symbid_ros.errors import DataError, OptionError
 from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.error_changes import (
@@ -40,7 +40,7 @@ NOTICEABLE, SMALL_EFFORT = 0.01, 0.05
 
 @on_one_blas_thread
 def validate(
-    result: Result | str | Path, log: Log | Sequence[Log], *, payload: Sequence[str] = ()
+    result: Result | str | Path, log: Log | Sequence[Log], *, payload: str | Sequence[str] = ()
 ) -> Validation:
     """Compare what an identified robot predicts for a log with what was measured.
 
@@ -66,6 +66,8 @@ def validate(
         When the log is invalid or of another robot.
     EstimateError
         When a file of the result is missing or invalid.
+    OptionError
+        When a payload is invalid.
     """
     log = as_one_log(log)
     predictor = predictor_of(result, log, payload)
@@ -79,7 +81,9 @@ def validate_segments(
     return assess(predictor, ForceRows.of(predictor, segments, source), source)
 
 
-def predictor_of(result: Result | str | Path, log: Log, payload: Sequence[str]) -> ForcePredictor:
+def predictor_of(
+    result: Result | str | Path, log: Log, payload: str | Sequence[str]
+) -> ForcePredictor:
     """Return what predicts the forces of a log with payloads; see :func:`validate`."""
     require_log(log)
     if isinstance(result, Result):
@@ -92,7 +96,12 @@ def predictor_of(result: Result | str | Path, log: Log, payload: Sequence[str]) 
             f"{type(result).__name__}",
             "E511",
         )
-    return predictor.with_frames_of(log).carrying(payload)
+    payloads = (payload,) if isinstance(payload, str) else payload
+    if not isinstance(payloads, Sequence) or not all(isinstance(one, str) for one in payloads):
+        raise OptionError(
+            f"`payload`: {payload!r} is not valid; give text or a list of texts", "E501"
+        )
+    return predictor.with_frames_of(log).carrying(payloads)
 
 
 def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validation:

@@ -15,6 +15,7 @@ from symbid_ros.model.mjcf_source import read_mjcf
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.urdf import load_urdf
 from symbid_ros.model.xml_file import as_element, read_xml
+from symbid_ros.user_files import as_path
 
 DENSEST = 2.3e4  # kg/m³, of osmium; half of a robot's links have 2e3 at most
 
@@ -47,10 +48,12 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
         although ``base`` is "floating".
     OptionError
         When ``base`` is none of these.
+    DataError
+        When ``path`` is not a path.
     """
     if base not in BASES:
         raise OptionError(f"base is {base!r}; choose from {', '.join(BASES)}", "E501")
-    path = Path(path)
+    path = as_path("the model file", path)
     if not is_mjcf(path):
         model = load_urdf(path, base)
     else:
@@ -65,6 +68,17 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
     _report_massless(model, is_base_known=base != "auto")
     _report_density(model)
     return model
+
+
+def load_identified_model(path: Path, base: Base) -> RobotModel:
+    """Load a model file of a result, whose masses may be negative if its method allows that.
+
+    Raises
+    ------
+    ModelError
+        As :func:`load_model`.
+    """
+    return load_model(path, base) if is_mjcf(path) else load_urdf(path, base, is_identified=True)
 
 
 def as_model(robot: RobotModel | str | Path) -> RobotModel:

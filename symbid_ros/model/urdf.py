@@ -30,7 +30,7 @@ AT_ORIGIN = 1e-3  # m between a frame's origin and the centre of its ball
 _PRODUCTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
-def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
+def load_urdf(path: Path, base: Base = "auto", *, is_identified: bool = False) -> RobotModel:
     """Load a URDF.
 
     Parameters
@@ -40,6 +40,8 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
     base : {"auto", "floating", "fixed"}
         A URDF does not say whether its root is fixed. With "auto" the root floats (REP-105's
         ``base_link``) unless it is a massless link named ``world``, whose joint then decides.
+    is_identified : bool
+        Whether an identification wrote it, which may have found negative masses.
 
     Raises
     ------
@@ -57,7 +59,7 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
                 f"{expanded_name(path)}` and give that file",
                 "E104",
             )
-    reader = UrdfReader(str(path), robot)
+    reader = UrdfReader(str(path), robot, is_identified=is_identified)
     bodies, world_joint = reader.bodies()
     floating = base == "floating" or (base == "auto" and world_joint != "fixed")
     gravity = STANDARD_GRAVITY if floating else reader.root_rotation.T @ STANDARD_GRAVITY
@@ -78,8 +80,9 @@ WORLD = "world"
 class UrdfReader:
     """Reads the links and joints of one URDF by name."""
 
-    def __init__(self, source: str, robot: ET.Element) -> None:
+    def __init__(self, source: str, robot: ET.Element, *, is_identified: bool = False) -> None:
         self.source = source
+        self.is_identified = is_identified
         self.root_rotation = np.eye(3)
         self.links: dict[str, ET.Element] = {}
         for link in robot.findall("link"):
@@ -242,7 +245,7 @@ class UrdfReader:
                 "E108",
             )
         kilograms = self._number(mass, "value", LARGEST)
-        if kilograms is None or kilograms < 0:
+        if kilograms is None or (kilograms < 0 and not self.is_identified):
             raise ModelError(
                 f"{place(mass)}: link {name!r} needs a mass of 0 kg or more; correct it", "E108"
             )

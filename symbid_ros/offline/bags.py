@@ -30,6 +30,7 @@ from symbid_ros.options import chosen_options, robot_file_line
 from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import TimeRange
+from symbid_ros.user_files import as_path
 
 logger = logging.getLogger(__name__)
 
@@ -68,8 +69,11 @@ def load_bag(
         When the model file is invalid.
     OptionError
         When an option is invalid.
+    DataError
+        When a bag is not given by its path.
     """
-    paths = [Path(one) for one in ([bags] if isinstance(bags, str | Path) else bags)]
+    given = list(bags) if isinstance(bags, Sequence) and not isinstance(bags, str) else [bags]
+    paths = [as_path("a bag", one) for one in given]
     options = chosen_options(LogOptions, options, fields)
     if robot is None:
         return open_bags(paths, None, options)

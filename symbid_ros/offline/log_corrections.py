@@ -5,7 +5,7 @@ The equation of motion, with the model's inertias within ±25 %, tells wrong sig
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from statistics import median
@@ -13,7 +13,7 @@ from statistics import median
 from symbid_ros.arrays import concatenated
 from symbid_ros.bags import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
-from symbid_ros.diagnosis.effort_findings import GAINS, MILLI, common_unit, may_be_in_milli
+from symbid_ros.diagnosis.effort_findings import GAINS, MILLI, common_unit, joints_in_milli
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, has_unsigned_efforts
 from symbid_ros.diagnosis.forces import EXPLAINED
 from symbid_ros.diagnosis.joint_checks import DEGREES
@@ -67,6 +67,7 @@ class LogCorrections:
     robot: RobotModel
     setup: RobotSetup
     frames: dict[str, str]
+    _has_new_unit: bool = field(default=False, init=False)
 
     def find(self) -> None:
         """Look for all of them, each with those before it in effect."""
@@ -161,8 +162,9 @@ class LogCorrections:
         for name, has_effort in readings.reversed_joints.items():
             self.setup.add("flip_joint", name, "CHECK: found from the efforts.")
             if has_effort:
+                self._multiply_efforts({name: -1.0})
                 reason = "CHECK: the log reverses these joints together with their motion."
-                self.setup.add("effort_scale", f"{name}:=-1.0", reason)
+                self.setup.note("effort_scale", reason)
 
     def _gravity(self, segments: Sequence[Segment], robot: RobotModel) -> FoundGravity | None:
         """Return how gravity acts on a fixed base if the efforts contradict the model."""
@@ -192,6 +194,11 @@ class LogCorrections:
         for _ in range(ROUNDS):
             if not _is_correctable(found) or not self._correct(found):
                 break
+            if self._has_new_unit:  # it hid what the efforts say of the positions
+                self._has_new_unit = False
+                if "position_scale" not in self.setup.options:
+                    self._convert_degrees()
+                self._correct_joints_and_gravity()
             found = self._diagnosed()
         self.setup.diagnosis = found
 
@@ -206,10 +213,7 @@ class LogCorrections:
         readings = find_readings(first_segments(self._log(robot), robot), robot)
         if readings is None or not readings.are_positions_right:
             return False
-        entries = dict(entry.split(":=", 1) for entry in self.setup.options.get("effort_scale", []))
-        for name in readings.reversed_efforts:
-            entries[name] = f"{-float(entries.get(name, 1.0)):.3g}"
-        self.setup.options["effort_scale"] = [f"{name}:={at}" for name, at in entries.items()]
+        self._multiply_efforts(dict.fromkeys(readings.reversed_efforts, -1.0))
         self.setup.note(
             "effort_scale",
             f"CHECK: efforts of {', '.join(readings.reversed_efforts)} had the wrong sign.",
@@ -226,6 +230,8 @@ class LogCorrections:
             named = {name.removesuffix("/reads") for name in one.figures if "/reads" in name}
             if one.kind is Kind.TORQUE_GAIN and named and named <= identified:
                 continue  # the factors are identified, as the finding advises
+            if one.kind in CORRECTABLE:
+                self.setup.has_open_question = True
             start = "CHECK" if one.severity is Severity.UNUSABLE else "Doctor"
             self.setup.note("", f"{start}: {one.message}")
 
@@ -275,11 +281,18 @@ class LogCorrections:
             RMS efforts over the limits of the model, as ``<joint>/times_limit``.
         """
         scaled = {name: one for name, one in factors.items() if not GAINS[0] < one < GAINS[1]}
-        if scaled and len(scaled) == len(factors):
-            # No joint has the unit of the model, so those without a visible load have not either.
-            if (unit := common_unit(scaled.values())) is not None:
-                self._scale(dict.fromkeys([*scaled, *unknown], unit), unit)
-                return
+        driven = [name for name in self.robot.joint_names if name in factors or name in unknown]
+        # No joint has the unit of the model, so those without a visible load have not either.
+        are_all = bool(scaled) and len(scaled) == len(factors)
+        if are_all and (unit := common_unit(scaled.values())) is not None:
+            self._scale(dict.fromkeys(driven, unit), unit)
+            return
+        limits = {name: times.get(f"{name}/times_limit", 0.0) for name in driven}
+        in_milli = joints_in_milli(limits, driven)
+        if len(in_milli) == len(driven):
+            self._scale(dict.fromkeys(driven, MILLI), MILLI)
+            return
+        if are_all:
             if all(EXPLAINED[0] < one < EXPLAINED[1] for one in scaled.values()):
                 self._doubt_load(scaled)
                 return
@@ -288,10 +301,7 @@ class LogCorrections:
             scaled |= dict.fromkeys(unknown, median(map(abs, scaled.values())))
             unknown = ()
         self._scale(scaled)
-        beyond = [
-            name for name in unknown if may_be_in_milli(times.get(f"{name}/times_limit", 0.0))
-        ]
-        self._scale(dict.fromkeys(beyond, MILLI), MILLI)
+        self._scale({name: MILLI for name in in_milli if name in unknown}, MILLI)
 
     def _doubt_load(self, factors: Mapping[str, float]) -> None:
         """Say that efforts differ from the model's by as much as those of a load do."""
@@ -327,15 +337,19 @@ class LogCorrections:
                 self.setup.options["effort_scale"] = [f"{name}:=-1.0" for name in joints]
                 self.setup.note("effort_scale", "CHECK: all joints together show this sign.")
 
+    def _multiply_efforts(self, factors: Mapping[str, float]) -> None:
+        entries = dict(entry.split(":=", 1) for entry in self.setup.options.get("effort_scale", []))
+        for joint, factor in factors.items():
+            entries[joint] = f"{factor * float(entries.get(joint, 1.0)):.3g}"
+        self.setup.options["effort_scale"] = [f"{name}:={at}" for name, at in entries.items()]
+
     def _scale(self, factors: Mapping[str, float], unit: float | None = None) -> None:
         """Multiply efforts of joints by factors, or by that of their unit, which is exact."""
         if not factors:
             return
-        entries = dict(entry.split(":=", 1) for entry in self.setup.options.get("effort_scale", []))
-        for joint, factor in factors.items():
-            entries[joint] = f"{(unit or factor) * float(entries.get(joint, 1.0)):.3g}"
-        self.setup.options["effort_scale"] = [f"{name}:={at}" for name, at in entries.items()]
+        self._multiply_efforts(factors)
         if unit is not None:
+            self._has_new_unit = True
             name = "mNm (Nmm)" if unit == MILLI else f"{unit:g} Nm"
             self.setup.note(
                 "effort_scale", f"CHECK: efforts of {', '.join(factors)} are in {name}."

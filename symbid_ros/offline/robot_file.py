@@ -12,7 +12,7 @@ from symbid_ros.choices import Base
 from symbid_ros.errors import OptionError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
-from symbid_ros.options import options_of
+from symbid_ros.options import Option, options_of, spelled
 from symbid_ros.user_files import load_yaml
 
 NODES = "/**", "identifier", "/identifier"
@@ -47,7 +47,8 @@ def load_robot_file(path: Path) -> dict[str, Any]:
     Raises
     ------
     OptionError
-        When the file is missing or invalid, or has an unknown parameter.
+        When the file is missing or invalid, or has an unknown parameter or a value of the wrong
+        type.
     """
     try:
         content = load_yaml(path)
@@ -71,19 +72,31 @@ def load_robot_file(path: Path) -> dict[str, Any]:
         each.name: each for kind in (IdentifyOptions, LogOptions) for each in options_of(kind)
     }
     _require_known(path, values, (*options, "model", "base", *OF_THE_NODE))
-    if "base" in values and values["base"] not in get_args(Base):
-        raise OptionError(
-            f"{path}: `base`: {values['base']!r} is not valid; give one of "
-            f"{', '.join(get_args(Base))}",
-            "E540",
-        )
     found: dict[str, Any] = {}
     for name, value in values.items():
         if name in OF_THE_NODE or value in ("", [""], [], None):
             continue
+        if name in options:
+            _require_type(path, options[name], value)
+        elif name == "base" and value not in get_args(Base):
+            raise _not_valid(path, name, value, f"one of {', '.join(get_args(Base))}")
+        elif name == "model" and not isinstance(value, str):
+            raise _not_valid(path, name, value, "the path of a model file")
         is_path = name == "model" or (name in options and options[name].kind is Path)
         found[name] = _placed(path.parent, value) if is_path else value
     return found
+
+
+def _require_type(path: Path, option: Option, value: Any) -> None:
+    try:
+        option.value_of(value)
+    except OptionError as error:
+        # In the file, options have their own names and not those of flags.
+        raise OptionError(f"{path}: {spelled(str(error), str)}", "E540") from None
+
+
+def _not_valid(path: Path, name: str, value: Any, expected: str) -> OptionError:
+    return OptionError(f"{path}: {name}: {value!r} is not valid; give {expected}", "E540")
 
 
 def _placed(folder: Path, value: Any) -> Any:

@@ -28,7 +28,7 @@ class RobotSetup:
     diagnosis : Diagnosis or None
         What the doctor says of the log, read with these options.
     has_open_question : bool
-        Whether a line is a guess that only the user can confirm.
+        Whether a line is a guess that only the user can confirm, or a sign or unit is still wrong.
     """
 
     model: Path

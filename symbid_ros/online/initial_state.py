@@ -70,7 +70,7 @@ class InitialState:
             When a file is invalid, or an option is not supported online.
         """
         _check_online(options)
-        options = replace(options, drive_gain=())
+        options = replace(options, drive_gain=(), drive_gain_percent=None)
         parameters = load_parameters(robot, options)
         prior = choose_prior(options, parameters)
         parameters = with_load_reference(parameters, prior, options)

@@ -203,7 +203,8 @@ def _mass(summary: RobotSummary) -> KeyFigure:
     title = "Total mass" if summary.is_floating else "Mass of the moving links"
     original = f"original {significant(summary.mass_before, 4)} kg"
     if summary.is_mass_measured is False:
-        original = f"not measured by this log, mostly the model file’s; {original}"
+        source = "" if summary.has_mass_moved else ", mostly the model file’s"
+        original = f"not measured by this log{source}; {original}"
     return KeyFigure(title, f"{with_std(summary.mass, summary.mass_std)} kg", original)
 
 

@@ -61,7 +61,8 @@
         ...options,
         width: width(),
         height,
-        padding: [8, 8, 0, 0],
+        // Half of a label at the end of the horizontal axis is beyond the plot.
+        padding: [8, 24, 0, 0],
         cursor: { drag: { x: true, y: true, uni: 30 }, points: { size: 6 }, ...options.cursor },
       },
       values,

@@ -23,6 +23,8 @@ class RobotSummary:
     is_mass_measured : bool or None
         Whether the mass has less than half of the variance that the model file's has; None if
         that is unknown.
+    has_mass_moved : bool
+        Whether the mass differs from the model file's by more than the deviation of the latter.
     com, com_std, com_before : (3,) float64
         Centre of mass in the base frame, m.
     posture : (J,) float64
@@ -38,6 +40,7 @@ class RobotSummary:
     mass_std: float
     mass_before: float
     is_mass_measured: bool | None
+    has_mass_moved: bool
     com: FloatArray
     com_std: FloatArray
     com_before: FloatArray
@@ -103,16 +106,18 @@ def summarise_robot(
         of_links = (factor[:, 1:4] - own[:, :, None] * factor[:, :1]) / phi[:, :1, None]
         rms = np.sqrt(np.mean(np.sum(of_links**2, axis=2), axis=1))
         link_com_std = dict(zip(parameters.link_names, rms.tolist(), strict=True))
-    is_mass_measured = None
+    is_mass_measured, has_mass_moved = None, False
     if prior_std is not None and np.isfinite(mass_std):
-        spread = prior_std[: parameters.inertial : 10][counted]
-        is_mass_measured = bool(mass_std**2 < DETERMINED**2 * np.sum(spread**2))
+        variance = float(np.sum(prior_std[: parameters.inertial : 10][counted] ** 2))
+        is_mass_measured = bool(mass_std**2 < DETERMINED**2 * variance)
+        has_mass_moved = bool((mass - mass_before) ** 2 > variance)
     return RobotSummary(
         is_floating=model.floating,
         mass=mass,
         mass_std=mass_std,
         mass_before=mass_before,
         is_mass_measured=is_mass_measured,
+        has_mass_moved=has_mass_moved,
         com=com,
         com_std=com_std,
         com_before=com_before,

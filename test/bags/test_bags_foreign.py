@@ -335,6 +335,7 @@ def test_error_names_the_actual_file_format(tmp_path: Path) -> None:
         ("log.mcap.lz4", lz4.frame.compress(image), "decompress it with `lz4 -d "),
         ("empty.mcap", b"", "empty; record it again"),
         ("db.mcap", sqlite_file(tmp_path / "x.db3").read_bytes(), "rename it to end in .db3"),
+        ("log.db3", image, "an MCAP file; rename it to end in .mcap"),
         ("page.mcap", b"<html>404</html>", "not an MCAP file; give a bag"),
     ):
         file = tmp_path / name

@@ -6,8 +6,11 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import urllib.request
+from contextlib import nullcontext
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 import rclpy
@@ -17,6 +20,7 @@ from rclpy.node import Node
 from rich.console import Console
 
 from symbid_ros.cli.live import given_parameters, report_end
+from symbid_ros.errors import SymbidError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.package_paths import config_file
@@ -86,6 +90,57 @@ def test_the_end_repeats_warnings_and_alarms(capsys, caplog) -> None:
         "alarm: give --contact",
         "1 alarm: do not trust these numbers yet",
     ]
+
+
+class EndedNode:
+    """Stands for the process of a node that is interrupted at once."""
+
+    was_interrupted = False
+    summary: ClassVar[dict[str, object] | None]
+
+    def __init__(self, name, parameters, environment, log: Path, **options) -> None:
+        log.write_text("started")
+
+    def __enter__(self) -> "EndedNode":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def require_running(self) -> None:
+        raise KeyboardInterrupt
+
+    def finish(self, *, stop: bool, patience: float) -> dict[str, object]:
+        if self.summary is None:
+            raise SymbidError("identifier failed", "E553")
+        return self.summary
+
+
+@pytest.mark.parametrize(
+    ("summary", "error", "is_kept"),
+    [
+        ({"saved": "written"}, None, False),
+        ({"saved": "written", "alarms": ["do not trust it"]}, typer.Exit, False),
+        (None, SymbidError, True),
+    ],
+)
+def test_logs_of_the_nodes_are_kept_after_an_error_alone(
+    summary, error, is_kept, monkeypatch, tmp_path, capsys
+) -> None:
+    from symbid_ros import shutdown
+    from symbid_ros.cli import live as module
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    for name in ("exit_on_signals", "interrupt_on_sigterm"):  # of the process of the tests
+        monkeypatch.setattr(shutdown, name, lambda: None)
+    monkeypatch.setattr(EndedNode, "summary", summary, raising=False)
+    monkeypatch.setattr(module, "NodeProcess", EndedNode)
+    monkeypatch.setattr(module, "unused_node_name", lambda name, *_: name)
+    with nullcontext() if error is None else pytest.raises(error):
+        module.live.__wrapped__(model=MODEL, options=IdentifyOptions(), log=LogOptions())
+    kept = [str(folder) for folder in tmp_path.iterdir()]
+    assert len(kept) == is_kept
+    assert all(folder in capsys.readouterr().out.replace("\n", "") for folder in kept)
 
 
 @pytest.mark.usefixtures("domain")

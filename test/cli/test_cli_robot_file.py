@@ -180,6 +180,7 @@ def test_a_load_that_the_model_lacks_is_no_unit(tmp_path) -> None:
     assert not {"effort_scale", "drive_gain"} & set(setup.options)
     said = [line for lines in setup.comments.values() for line in lines]
     assert any("lacks a tool or payload" in line for line in said)
+    assert not setup.is_usable
 
 
 def test_one_joint_does_not_tell_the_unit_of_all_others(tmp_path) -> None:
@@ -291,6 +292,14 @@ def test_relative_paths_start_at_the_file(tmp_path) -> None:
         ("/**: {ros__parameters: {zzz: a}}", "there is no parameter zzz; remove it"),
         ("/**: {ros__parameters: {base: loose}}", "'loose' is not valid; give one of"),
         ("{", "not valid YAML"),
+        ("/**: {ros__parameters: {effort_scale: [0.001]}}", "effort_scale: 0.001 is not valid"),
+        ("/**: {ros__parameters: {joint_topic: [3]}}", "joint_topic: 3 is not valid"),
+        ("/**: {ros__parameters: {contact: [1]}}", "contact: 1 is not valid"),
+        ("/**: {ros__parameters: {tare: [{a: 1}]}}", "tare: {'a': 1} is not valid"),
+        ("/**: {ros__parameters: {rank: .inf}}", "rank: inf is not valid; give an integer"),
+        ("/**: {ros__parameters: {prior_percent: -3}}", "prior_percent: -3 is not valid"),
+        ("/**: {ros__parameters: {model: 3}}", "model: 3 is not valid; give the path"),
+        ("/**: {ros__parameters: {model: [arm.urdf]}}", "model: ['arm.urdf'] is not valid"),
     ],
 )
 def test_an_invalid_file_is_refused(text: str, reason: str, tmp_path) -> None:
@@ -299,6 +308,19 @@ def test_an_invalid_file_is_refused(text: str, reason: str, tmp_path) -> None:
     with pytest.raises(OptionError, match=re.escape(reason)) as refused:
         load_robot_file(file)
     assert str(file) in str(refused.value)
+
+
+def test_a_value_that_the_command_refuses_is_named_with_its_file(
+    symbid_here, foreign, tmp_path
+) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        f"/**: {{ros__parameters: {{model: {config_file('symbitron.urdf')}, "
+        "effort_scale: ['L_haa:=a']}}"
+    )
+    ended = symbid_here("bag", "doctor", foreign, "--robot", file)
+    assert ended.returncode == 2
+    assert f"{file}: effort_scale: 'L_haa:=a' is not valid" in ended.stderr
 
 
 def test_every_parameter_of_the_node_may_be_in_a_robot_file() -> None:
@@ -492,7 +514,7 @@ def test_reversed_joints_are_found_rather_than_scales(tmp_path, joint, is_axis) 
     bag, name = joints_only(tmp_path / "bag", *messages), arm.joint_names[joint]
     setup = inspect_robot(ur5_urdf(), [bag], "fixed")
     assert setup.options["flip_joint"] == [name]
-    assert setup.options.get("effort_scale", []) == [f"{name}:=-1.0"] * is_axis
+    assert setup.options.get("effort_scale", []) == [f"{name}:=-1"] * is_axis
     assert setup.diagnosis is not None
     assert not setup.diagnosis.findings
     found = sy.diagnose(arm, sy.load_bag(bag, arm))
@@ -512,6 +534,26 @@ def test_no_sign_or_factor_is_written_for_magnitudes(tmp_path, sign, never) -> N
     setup = inspect_robot(ur5_urdf(), [bag], "fixed")
     assert not {"effort_scale", "drive_gain", "flip_joint", "gravity"} & set(setup.options)
     assert any(f"never {never}" in line for line in setup.comments[""])
+
+
+@pytest.mark.parametrize("joint", [1, 2, 4])
+@pytest.mark.parametrize("is_axis", [False, True])
+def test_a_wrong_unit_does_not_hide_a_reversed_joint(tmp_path, joint, is_axis) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 10.0, 1, friction=0.05).joints
+    columns = [read.position.copy(), read.velocity.copy(), 1e3 * read.effort]
+    for column in columns[: 3 if is_axis else 2]:
+        column[:, joint] *= -1
+    rows = zip(read.stamp, *columns, strict=True)
+    messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in rows]
+    setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    assert setup.options["flip_joint"] == [arm.joint_names[joint]]
+    factors = {name: float(one) for name, one in entries(setup.options["effort_scale"]).items()}
+    signs = {name: -1 if is_axis and name == arm.joint_names[joint] else 1 for name in factors}
+    assert factors == {name: 1e-3 * signs[name] for name in arm.joint_names}
+    assert setup.is_usable
+    assert setup.diagnosis is not None
+    assert not setup.diagnosis.findings
 
 
 @given(st.permutations(ARM), st.sampled_from(["robot1_", "left/", ""]))

@@ -102,7 +102,21 @@ def test_torques_must_not_jump(candidate, change):
     assert refusal(gate, candidate, 0.9 * np.array([25.0, -10.0])) == ""
 
 
-@pytest.mark.parametrize("share", [0.0, -1.0, np.nan])
+def test_a_drive_without_torque_may_not_change(candidate):
+    limits = np.array([100.0, 0.0])
+    assert ModelGate().refusal(candidate, np.array([1.0, 0.0]), limits) == ""
+    refused = ModelGate().refusal(candidate, np.array([1.0, 1e-3]), limits)
+    assert refused.startswith("drive 2 would change by")
+
+
+def test_each_drive_has_a_limit(candidate):
+    with pytest.raises(DataError, match=r"torque_change has shape \(5,\) and torque_limit \(6,\)"):
+        ModelGate().refusal(candidate, np.zeros(5), np.full(6, 100.0))
+    assert ModelGate().refusal(candidate, [0.0, 1.0], [100.0, 100.0]) == ""
+    assert ModelGate().refusal(candidate, [], []) == ""
+
+
+@pytest.mark.parametrize("share", [0.0, -1.0, np.nan, "x"])
 def test_a_limit_without_meaning_raises_an_error(share):
     with pytest.raises(OptionError, match="largest_change"):
         ModelGate(share)

@@ -368,10 +368,12 @@ def test_feet_that_are_balls_roll(balls):
 
 
 @pytest.mark.parametrize(
-    ("kind", "radius"), [("point", RADIUS), ("0.0", 0.0), ("0.03", 0.03)], ids=str
+    ("kind", "radius"),
+    [("", RADIUS), (":point", RADIUS), (":0.0", 0.0), (":0.03", 0.03)],
+    ids=str,
 )
 def test_feet_and_contacts_mean_the_same(balls, kind, radius):
-    feet = tuple(f"{name.partition(':')[0]}:{kind}" for name in BALLS)
+    feet = tuple(f"{name.partition(':')[0]}{kind}" for name in BALLS)
     options = ExciteOptions(feet=feet, contact=feet, no_collision=True, **SHORT)
     problem = excitation_problem(balls, options, SENSORS)
     assert [foot.radius for foot in problem.design.expected.joints.stance.feet] == [radius] * 4

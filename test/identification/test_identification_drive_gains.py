@@ -8,11 +8,14 @@ from drive_logs import arm, drives, log_of
 
 import symbid_ros as sy
 from symbid_ros.errors import OptionError
+from symbid_ros.estimation.alarms import Alarm
+from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.inertia import phi_from_com
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.online.initial_state import InitialState
 
 FACTORS = np.array([3.0, -0.2, 15.0])
@@ -181,6 +184,8 @@ def test_gains_need_a_complete_log(model, caplog):
         sy.IdentifyOptions(drive_gain="all", method="ols")
     with pytest.raises(OptionError, match="information"):
         sy.IdentifyOptions(drive_gain="all", information="earlier/information.npz")
+    with pytest.raises(OptionError, match="has no effect without `drive_gain`"):
+        sy.IdentifyOptions(drive_gain_percent=20.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -205,6 +210,27 @@ def test_wrong_torque_constants_are_identified_with_an_alarm(robot, model, seed)
     assert not alarms
     assert not kept.estimate.verdict.sensors
     assert kept.estimate.holdout.percent_after > 3 * wrong.estimate.holdout.percent_after
+
+
+@pytest.mark.parametrize("gain", [(0.85, 1.1, 1.25), (1.2, 0.85, 1.0)])
+def test_factors_of_all_joints_are_uncertain_if_several_err(robot, gain):
+    """If those of joints that do not stand out counted as exact, wrong masses would as well."""
+    links = ParameterSet(robot)
+    model = links.apply(draw_prior(links, "consistent", 25.0, seed=3).mean)
+    log = log_of(robot, drives(robot, **FRICTION), gain=np.array(gain))
+    found = sy.identify(model, log)
+    (alarm,) = (one for one in found.alarms if Alarm.UNCERTAIN_FACTORS in one)
+    assert "drive_gain" in alarm
+    relative = factors(found) / gain
+    deviations = np.array([one.std for one in found.estimate.verdict.sensors]) / gain
+    assert np.all(np.abs(relative - 1) < 3 * deviations)
+    assert np.all(deviations > 0.02)
+    np.testing.assert_allclose(relative / relative[0], 1.0, rtol=5e-3)
+    kept = sy.identify(model, log, drive_gain="none")
+    assert not kept.estimate.verdict.sensors
+    assert found.estimate.holdout.percent_after < 0.1 * kept.estimate.holdout.percent_after
+    stated = sy.identify(model, log, drive_gain="all", drive_gain_percent=20.0)
+    np.testing.assert_allclose(factors(stated), factors(found), rtol=1e-6)
 
 
 def test_a_sign_that_the_log_does_not_show_is_reported_once_if_factors_are_asked_for(robot, caplog):

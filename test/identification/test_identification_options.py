@@ -40,6 +40,17 @@ NAMES = {each.name for kind in (IdentifyOptions, LogOptions) for each in options
         ({"cutoff": 20}, ["cutoff"]),
         ({"filter": "butterworth", "window": 0.1}, ["window"]),
         ({"filter": "butterworth", "sensor_errors": "typical"}, ["filter"]),
+        ({"rank": math.inf, "method": "ols"}, ["rank"]),
+        ({"contact": 1}, ["contact"]),
+        ({"joint_terms": None}, ["joint_terms"]),
+        ({"payload": [1.5]}, ["payload"]),
+        ({"payload": [("bag", "tool0,1")]}, ["payload"]),
+        ({"coupling": 1}, ["coupling"]),
+        ({"ripple": [1.5]}, ["ripple"]),
+        ({"tare": 1}, ["tare"]),
+        ({"prior": 5}, ["prior"]),
+        ({"information": 5}, ["information"]),
+        ({"method": "ols", "choose_truncation": 3}, ["choose_truncation"]),
     ],
     ids=str,
 )
@@ -49,6 +60,12 @@ def test_errors_name_the_invalid_fields(given, names) -> None:
     for name in names:
         assert f"`{name}`" in str(refusal.value)
     assert refusal.value.code.startswith("E50")
+
+
+@pytest.mark.parametrize("given", [{"rename_joint": 3}, {"joint_topic": [3]}, {"pose_frame": 1}])
+def test_names_in_a_log_are_texts(given) -> None:
+    with pytest.raises(OptionError, match=f"`{next(iter(given))}`: .* give text"):
+        LogOptions(**given)
 
 
 def test_the_deprecated_name_of_an_option_is_understood(caplog) -> None:

@@ -149,8 +149,10 @@ def test_validation_knows_what_the_robot_carries_in_its_log(robot, loaded, text)
         sy.identify(robot, log_with(loaded), payload=text, **fields),
     ):
         assert sy.validate(result, empty).percent_after < 1.0
-        assert sy.validate(result, carrying, payload=[text]).percent_after < 1.0
+        assert sy.validate(result, carrying, payload=text).percent_after < 1.0
         assert sy.validate(result, carrying).percent_after > 5.0
+        with pytest.raises(OptionError, match=r"`payload`: .* give text"):
+            sy.validate(result, carrying, payload=[1.5])
         with pytest.raises(OptionError, match="has no position for this payload"):
             sy.validate(result, carrying, payload=[f"{robot.link_names[-1]},{MASS}"])
 

@@ -17,13 +17,17 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.estimation.row_layout import RowLayout
+from symbid_ros.identification import result_files
 from symbid_ros.identification.identification import Identification
+from symbid_ros.identification.installation import inertials_yaml, install
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result_files import (
     check_output,
     load_estimated_model,
     write_identification,
 )
+from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
@@ -56,7 +60,18 @@ def found(arm, tmp_path) -> tuple[Identification, ParameterSet]:
     return prepared.solve("map"), prepared.parameters
 
 
-def test_the_estimate_is_written_if_the_model_file_is_gone(found, tmp_path) -> None:
+@pytest.fixture
+def spare(tmp_path, monkeypatch) -> Path:
+    """Return the folder of temporary folders."""
+    folder = tmp_path / "spare"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+def test_the_estimate_is_written_elsewhere_if_the_model_file_is_gone(
+    found, spare, tmp_path
+) -> None:
     identification, parameters = found
     out = tmp_path / "out"
     Path(parameters.model.source).unlink()
@@ -64,16 +79,54 @@ def test_the_estimate_is_written_if_the_model_file_is_gone(found, tmp_path) -> N
         write_identification(identification, parameters, out)
     assert "\n" not in str(caught.value)
     assert caught.value.code == "E522"
-    assert load_estimate(out / "estimate.json").value.tolist()
-    assert load_archive(out / "information.npz")
+    assert not out.exists()
+    (folder,) = spare.iterdir()
+    assert load_estimate(folder / "estimate.json").value.tolist()
+    assert load_archive(folder / "information.npz")
 
 
-def test_the_estimate_is_written_elsewhere_if_the_folder_is_gone(
-    found, tmp_path, monkeypatch
-) -> None:
-    spare = tmp_path / "spare"
-    spare.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(spare))
+def test_a_failure_leaves_no_mixture_of_two_results(found, spare, tmp_path, monkeypatch) -> None:
+    identification, parameters = found
+    out = tmp_path / "out"
+    written = write_identification(identification, parameters, out)
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    estimate = replace(identification.estimate, value=1.5 * identification.estimate.value)
+
+    def full(path: Path, *_: object) -> None:
+        if out in path.parents:
+            raise EstimateError(f"{path}: cannot write (No space left on device)", "E552")
+
+    monkeypatch.setattr(result_files, "write_archive", full)
+    with pytest.raises(EstimateError, match="No space left") as caught:
+        write_identification(replace(identification, estimate=estimate), parameters, out)
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    (folder,) = spare.iterdir()
+    assert {path.name for path in folder.iterdir()} == {*written} - {"information.npz"}
+    np.testing.assert_allclose(load_estimate(folder / "estimate.json").value, estimate.value)
+    assert all(str(caught.value).count(f" {name}") == 1 for name in ("model.urdf", "model.xml"))
+
+
+def test_a_result_with_a_negative_mass_is_read(found, tmp_path, caplog) -> None:
+    """Least squares without a constraint finds such results, which can be compared all the same."""
+    identification, parameters = found
+    estimate = identification.estimate
+    value = estimate.value.copy()
+    link = parameters.model.link_names[-1]
+    value[parameters.names.index(f"{link}/m")] = -0.25
+    consistent = estimate.consistent | {link: False}
+    changed = replace(estimate, value=value, consistent=consistent)
+    write_identification(replace(identification, estimate=changed), parameters, tmp_path / "out")
+    assert f"model.urdf: impossible bodies, which other programs may refuse: {link}" in caplog.text
+    predictor = ForcePredictor.load(tmp_path / "out")
+    np.testing.assert_allclose(predictor.unknowns[: len(value)], value)
+    if Path(parameters.model.source).suffix == ".urdf":
+        with pytest.raises(SymbidError, match=f"identified mass of {link} is negative"):
+            install(tmp_path / "out", Path(parameters.model.source), tmp_path / "new.urdf")
+    with pytest.raises(SymbidError, match=f"identified mass of {link} is negative"):
+        inertials_yaml(tmp_path / "out")
+
+
+def test_the_estimate_is_written_elsewhere_if_the_folder_is_gone(found, spare, tmp_path) -> None:
     (tmp_path / "out").write_text("a file has taken its place")
     with pytest.raises(EstimateError, match=r"written to .*/spare/symbid_.* instead") as caught:
         write_identification(*found, tmp_path / "out")
@@ -193,5 +246,24 @@ def test_a_prior_has_values_only(parameters, tmp_path):
 def test_another_robot_is_refused(parameters, estimate, tmp_path):
     write_estimate(tmp_path / "estimate.json", estimate)
     with pytest.raises(EstimateError, match=r"estimate\.json") as caught:
+        load_estimated_model(tmp_path, random_robot(4, links=4))
+    assert caught.value.code == "E512"
+
+
+def test_another_robot_is_named_before_its_joints(parameters, estimate, tmp_path):
+    coupling = Coupling.of(parameters.model, (0, 1), (1.0, 1.0))
+    coupled = replace(parameters, couplings=(coupling,))
+    zero = np.zeros(len(coupled))
+    estimate = replace(
+        estimate,
+        names=coupled.names,
+        units=coupled.units,
+        value=zero,
+        prior=zero,
+        std=zero,
+        determined=zero > 0,
+    )
+    write_estimate(tmp_path / "estimate.json", estimate)
+    with pytest.raises(EstimateError, match="is not the robot of") as caught:
         load_estimated_model(tmp_path, random_robot(4, links=4))
     assert caught.value.code == "E512"

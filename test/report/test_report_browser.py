@@ -98,6 +98,17 @@ class TestFigures:
         assert "time [s]" in legend.inner_text()
         assert re.search(r"\d", legend.inner_text().replace("time [s]", ""))
 
+    def test_the_last_label_of_an_axis_is_within_the_figure(self, page):
+        """It may stand at the end of the axis after a zoom."""
+        measure = """id => {
+          const edge = (one) => document.querySelector(id + one).getBoundingClientRect().right;
+          const pen = document.createElement("canvas").getContext("2d");
+          pen.font = "12px system-ui, sans-serif";
+          return [edge(" .u-wrap") - edge(" .u-over"), pen.measureText("19.75").width / 2];
+        }"""
+        room, half = page.tab.evaluate(measure, "#forces-plot")
+        assert room > half
+
     def test_another_joint_can_be_chosen(self, page):
         tab = page.tab
         shown = tab.locator("#forces .coordinate-name").first

@@ -23,16 +23,20 @@ ALARM = "the residuals are not white noise"
 OTHER = "the poses of resting soles vary"
 
 
-def test_a_mass_that_is_not_measured_says_so():
+@pytest.mark.parametrize(
+    ("has_moved", "source"), [(False, ", mostly the model file’s"), (True, "")]
+)
+def test_a_mass_that_is_not_measured_says_so(has_moved, source):
     shown = content_of_a_log(3)
+    zeros = np.zeros(3)
     summary = RobotSummary(
-        *(True, 20.0, 1.0, 21.0, False, np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)),
+        *(True, 20.0, 1.0, 21.0, False, has_moved, zeros, zeros, zeros, zeros),
         is_mean_posture=True,
         link_com_std={},
     )
     methods = tuple(replace(one, summary=summary) for one in shown.methods)
     mass = key_figures(replace(shown, methods=methods))[0]
-    assert mass.note == "not measured by this log, mostly the model file’s; original 21.00 kg"
+    assert mass.note == f"not measured by this log{source}; original 21.00 kg"
 
 
 def estimate(advice="better", *, alarms=(), **fields):

@@ -48,6 +48,19 @@ def test_a_mass_is_measured_if_the_data_halve_its_variance(robot):
     assert summarise_robot(parameters, value, value, factor, posture).is_mass_measured is None
 
 
+def test_a_mass_that_moved_beyond_its_prior_is_not_the_model_files(robot):
+    parameters, posture, factor = robot
+    prior_std = np.full(len(parameters), 0.1)
+    spread = 0.1 * np.sqrt(parameters.inertial // 10)
+    total = parameters.values[: parameters.inertial : 10].sum()
+    for change, expected in ((1.1 * spread, True), (0.9 * spread, False)):
+        value = (1 + change / total) * parameters.values
+        found = summarise_robot(
+            parameters, value, parameters.values, factor, posture, prior_std=prior_std
+        )
+        assert found.has_mass_moved is expected
+
+
 def test_deviations_are_those_of_small_changes(robot):
     parameters, posture, factor = robot
     value = parameters.values

@@ -35,6 +35,7 @@ from symbid_ros.messages.limits import (
 
 Buffer = bytes | memoryview
 MAGIC = b"\x89MCAP0\r\n"
+SQLITE_MAGIC = b"SQLite format 3\0"
 RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")
 PAYLOAD_OFFSET = RECORD.size + MESSAGE.size
@@ -111,7 +112,7 @@ def identify_other_format(file: Path) -> str:
     )
     if head.startswith(b"#ROSBAG"):
         return f"a ROS 1 bag; convert it with `{conversion} {TO_ROS2}`"
-    if head.startswith(b"SQLite format 3\0"):
+    if head.startswith(SQLITE_MAGIC):
         return "an SQLite file; rename it to end in .db3"
     if head.startswith(ZSTD_MAGIC):
         return f"compressed as a whole; decompress it with `zstd -d {quote_path(file)}`"

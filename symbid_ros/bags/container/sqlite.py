@@ -25,8 +25,15 @@ from symbid_ros.bags.container.file_index import (
     StoredMessage,
     list_topics,
 )
-from symbid_ros.bags.container.mcap_records import damage_error, unreadable_error
+from symbid_ros.bags.container.mcap_records import (
+    MAGIC,
+    SQLITE_MAGIC,
+    damage_error,
+    identify_other_format,
+    unreadable_error,
+)
 from symbid_ros.bags.container.schema_registry import SchemaRegistry
+from symbid_ros.errors import BagError
 from symbid_ros.messages.limits import MAX_CHANNELS, MAX_CHUNK, check_limit, decompress_message
 from symbid_ros.messages.topics import OfferedQos, Topic
 
@@ -211,6 +218,7 @@ def open_database(file: Path, *, is_damaged: bool = False) -> Iterator[apsw.Conn
     base, mode = ("unix-none", "mode=ro") if journals else ("", "immutable=1")
     flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
     try:
+        _refuse_other_format(file)
         whole_pages = WholePages(base, file) if is_damaged else None  # registered while it lives
         vfs = whole_pages.name if whole_pages else base or None
         with closing(apsw.Connection(f"file:{quote(str(file))}?{mode}", flags, vfs)) as database:
@@ -226,6 +234,16 @@ def open_database(file: Path, *, is_damaged: bool = False) -> Iterator[apsw.Conn
         raise damage_error(file, "SQLite", error) from error
     except OSError as error:
         raise unreadable_error(file, error) from error
+
+
+def _refuse_other_format(file: Path) -> None:
+    with file.open("rb") as stream:
+        head = stream.read(len(SQLITE_MAGIC))
+    if head.startswith(MAGIC):
+        raise BagError(f"{file}: an MCAP file; rename it to end in .mcap", "E204")
+    # An empty file is an empty database.
+    if head and head != SQLITE_MAGIC and (known := identify_other_format(file)):
+        raise BagError(f"{file}: {known}", "E204")
 
 
 def warn_of_journals(file: Path) -> None:
