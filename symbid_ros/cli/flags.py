@@ -28,14 +28,17 @@ Robot = Annotated[
 ]
 BaseKind = Annotated[
     Base,
-    typer.Option(help="Base of a URDF; auto: floating, unless the root link is named 'world'."),
+    typer.Option(
+        help="Base of a URDF; auto: floating, unless the root link is named 'world'. fixed also "
+        "welds the base of an MJCF."
+    ),
 ]
 # Of commands that read a log together with the model.
 LogBaseKind = Annotated[
     Base,
     typer.Option(
         help="Base of a URDF; auto: floating, unless the root link is named 'world', or an arm's "
-        "log has neither an IMU nor a pose."
+        "log has neither an IMU nor a pose. fixed also welds the base of an MJCF."
     ),
 ]
 

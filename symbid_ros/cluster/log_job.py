@@ -164,8 +164,8 @@ class ClusterSegments(DistributedSegments):
             When the log is unusable.
         """
         columns = describe_columns(parameters)
-        grouping = processing.grouping.period, processing.grouping.start
-        rows = processing.windows, processing.full_rate, self.first, grouping
+        borders = processing.grouping.borders
+        rows = processing.windows, processing.full_rate, self.first, borders
         tasks = [
             self.cluster.submit(fold_part, self.log, columns, rows, astuple(part), tuple(mean))
             for part in self.parts

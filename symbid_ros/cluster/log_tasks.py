@@ -130,7 +130,7 @@ def digest_bag(location: str) -> list[tuple[str, str | None, int | None]]:
 def fold_part(
     log: str,
     columns: str,
-    rows: tuple[Sequence[float], bool, int, tuple[int, int]],
+    rows: tuple[Sequence[float], bool, int, Sequence[int]],
     part: tuple[int, ...],
     mean: Sequence[float],
 ) -> dict[str, Any]:
@@ -142,9 +142,9 @@ def fold_part(
         The log, from :func:`describe_log`.
     columns : str
         The parameters, from :func:`describe_columns`.
-    rows : (sequence of float, bool, int, (int, int))
+    rows : (sequence of float, bool, int, sequence of int)
         Lengths of the windows, s, whether every sample has a row before averaging, the first stamp
-        of the log, ns, and period and start of the grouping, ns.
+        of the log, ns, and the borders of the grouping, ns.
     part : tuple of int
         Fields of :class:`Part`.
     mean : sequence of float
@@ -152,9 +152,12 @@ def fold_part(
     """
     opened, parameters = _OpenLog.of(log), _parameters(log, columns)
     source, found = opened.source(Part(*part)), None
-    windows, full_rate, first, grouping = rows
+    windows, full_rate, first, borders = rows
     processing = Processing(
-        windows=tuple(windows), full_rate=full_rate, first=first, grouping=Grouping(*grouping)
+        windows=tuple(windows),
+        full_rate=full_rate,
+        first=first,
+        grouping=Grouping(tuple(borders)),
     )
     with _turn, _warnings() as messages:
         checks = StreamChecks(parameters.model) if len(mean) else None

@@ -52,16 +52,16 @@ class SignConversions:
 
 
 NO_CONVERSIONS = SignConversions()
-NONE_BEYOND: Mapping[str, tuple[float, float]] = MappingProxyType({})
+NO_GAINS: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
 
 def effort_findings(
     topic: str,
     known: Mapping[str, tuple[float, float]],
     common: float,
-    unknown: Sequence[str] = (),
+    unknown: Mapping[str, tuple[float, float]] = NO_GAINS,
     *,
-    beyond: Mapping[str, tuple[float, float]] = NONE_BEYOND,
+    beyond: Mapping[str, tuple[float, float]] = NO_GAINS,
     evidence: ScaleEvidence | None = None,
     conversions: SignConversions = NO_CONVERSIONS,
 ) -> Iterator[Finding]:
@@ -74,8 +74,8 @@ def effort_findings(
         Gains of joints that the log determines, with their standard deviations.
     common : float
         The gain of the other sensors.
-    unknown : sequence of str
-        The other driven joints.
+    unknown : mapping of str to (float, float)
+        The same of the other driven joints.
     beyond : mapping of str to (float, float)
         RMS efforts beyond the limits of the model, and these limits.
     evidence : ScaleEvidence, optional
@@ -87,7 +87,9 @@ def effort_findings(
     negative = [name for name, (gain, std) in known.items() if gain < 0 and DEVIATIONS * std < 1]
     if negative:
         are_all = len(negative) > 2 and len(negative) == len(known)
-        reversed_gains = {name: known[name][0] / common for name in negative}
+        # If all known signs are wrong, so are those of joints whose load does not show theirs.
+        several = {**known, **unknown} if are_all else {name: known[name] for name in negative}
+        reversed_gains = {name: gain / common for name, (gain, _) in several.items()}
         yield sign_finding(topic, reversed_gains, conversions, are_all=are_all)
     wrong = {}
     for name, (gain, std) in known.items():
@@ -205,13 +207,14 @@ def sign_finding(
     topic: str, gains: Mapping[str, float], conversions: SignConversions, *, are_all: bool
 ) -> Finding:
     """Return the finding that joints with these gains have the wrong sign."""
+    size = f" (gain {np.mean(list(gains.values())):.2f} relative to the others)"
     return Finding(
         Kind.TORQUE_SIGN,
         topic,
         Severity.UNUSABLE,
-        f"{topic}: effort of {'all joints' if are_all else ', '.join(gains)} has the wrong sign "
-        f"(gain {np.mean(list(gains.values())):.2f} relative to the others); give it along the "
-        f"joint's axis, or write {conversions.effort_line(dict.fromkeys(gains, -1.0))}",
+        f"{topic}: effort of {'all joints' if are_all else ', '.join(gains)} has the wrong sign"
+        f"{'' if are_all else size}; give it along the joint's axis, or write "
+        f"{conversions.effort_line(dict.fromkeys(gains, -1.0))}",
         {f"{name}/gain": gain for name, gain in gains.items()},
     )
 

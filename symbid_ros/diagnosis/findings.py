@@ -79,6 +79,11 @@ OF_READINGS = (
     *(Kind.CONTRADICTION, Kind.TORQUE_SIGN, Kind.TORQUE_GAIN, Kind.ENCODER_OFFSET, Kind.DELAY),
     *(Kind.EFFORT_DELAY, Kind.EXCITATION),
 )
+# Those that efforts without signs disturb.
+OF_SIGNED_EFFORTS = (
+    *(Kind.JOINT_READINGS, Kind.TORQUE_SIGN, Kind.TORQUE_GAIN, Kind.CONTRADICTION),
+    *(Kind.BASE_MOUNTING, Kind.ENCODER_OFFSET, Kind.DELAY),
+)
 
 
 @dataclass(frozen=True)
@@ -138,13 +143,24 @@ def _json_value(value: Any) -> Any:
 
 
 def merged(of_streams: Iterable[Finding], of_model: Iterable[Finding]) -> list[Finding]:
-    """Return all findings, worst first; a gyroscope's gain is reported once for each topic."""
+    """Return all findings, worst first.
+
+    A gyroscope's gain is reported once for each topic. If efforts have no signs, those that depend
+    on them are left out.
+    """
     found = list(of_streams)
+    if has_unsigned_efforts(found):
+        of_model = [one for one in of_model if one.kind not in OF_SIGNED_EFFORTS]
     known = {one.stream for one in found if one.kind is Kind.GYROSCOPE_GAIN}
     found += [
         one for one in of_model if one.kind is not Kind.GYROSCOPE_GAIN or one.stream not in known
     ]
     return sorted(found, key=lambda one: -one.severity)
+
+
+def has_unsigned_efforts(findings: Iterable[Finding]) -> bool:
+    """Return whether efforts are said to be magnitudes, which tell no sign and no gain."""
+    return any(one.kind is Kind.UNSIGNED_EFFORT for one in findings)
 
 
 @dataclass(frozen=True)

@@ -141,7 +141,7 @@ def check_forces(
             joints,
             known,
             common,
-            [name for name in efforts if name not in known],
+            {name: one for name, one in efforts.items() if name not in known},
             beyond=statistics.beyond_limits,
             evidence=None if rotations else statistics.scale_evidence,
             conversions=conversions,

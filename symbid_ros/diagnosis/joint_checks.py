@@ -32,7 +32,7 @@ FAR = 10 * np.pi
 # rad/s or m/s (RMS) that no joint of a robot reaches: readings of 4096 a turn that are taken for
 # radians do so at half a radian per second.
 FASTEST = 300.0
-# Joints that move both ways, this many times each, of which so many never have a negative effort.
+# Joints that move both ways, this many times each, of which so many have efforts of one sign.
 FEWEST_REVERSING, FEWEST_UNSIGNED = 10, 4
 # Spans in which a joint moves at least so that its effort cannot be constant.
 FEWEST_MOVED = 10
@@ -82,7 +82,8 @@ class JointCheck:
     _has_effort: BoolArray = field(init=False)
     _constant: FloatArray = field(init=False)  # the only effort; NaN before the first
     _is_constant: BoolArray = field(init=False)
-    _is_negative: BoolArray = field(init=False)
+    _is_negative: BoolArray = field(init=False)  # ever, before the user's effort_scale
+    _is_positive: BoolArray = field(init=False)
     _returns: IntArray = field(init=False)  # jumps to and fro
     _moved: IntArray = field(init=False)  # number of spans with motion down and up
     _speeds: FloatArray = field(init=False)  # number of spans, and squares of their mean velocity
@@ -100,6 +101,7 @@ class JointCheck:
         self._constant = np.full(joints, np.nan)
         self._is_constant = np.ones(joints, dtype=bool)
         self._is_negative = np.zeros(joints, dtype=bool)
+        self._is_positive = np.zeros(joints, dtype=bool)
         self._returns = np.zeros(joints, dtype=np.int64)
         self._moved = np.zeros((2, joints), dtype=np.int64)
         self._speeds = np.zeros((2, joints))
@@ -121,7 +123,10 @@ class JointCheck:
         self._without_position += np.count_nonzero(~np.isfinite(joints.position[inside]), axis=0)
         self._has_effort |= np.any(is_finite & (joints.effort[inside] != 0.0), axis=0)
         self._compare_with_constant(joints.effort[inside], is_finite)
-        self._is_negative |= np.any(joints.effort[inside] < 0.0, axis=0)
+        scale = np.array([joints.effort_scale.get(name, 1.0) for name in self.names])
+        recorded = joints.effort[inside] * np.sign(scale)
+        self._is_negative |= np.any(recorded < 0.0, axis=0)
+        self._is_positive |= np.any(recorded > 0.0, axis=0)
         self._add_efforts(joints.effort[inside])
         self._add_returns(joints.position[inside])
         position = joints.position
@@ -279,18 +284,20 @@ class JointCheck:
         return found + list(self._absent("effort", incomplete, Severity.WARNING))
 
     def _unsigned_findings(self, driven: list[int]) -> Iterator[Finding]:
-        """Yield a finding if no joint ever has a negative effort, although joints move both ways.
+        """Yield a finding if efforts of all joints that move both ways have one sign.
 
         Friction alone changes its sign, and a joint with a vertical axis carries no weight.
         """
         reverses = self._moved.min(axis=0) >= FEWEST_REVERSING
         places = [i for i in driven if self._has_effort[i] and reverses[i]]
-        if len(places) < FEWEST_UNSIGNED or self._is_negative[places].any():
+        is_negative, is_positive = self._is_negative[places].any(), self._is_positive[places].any()
+        if len(places) < FEWEST_UNSIGNED or (is_negative and is_positive):
             return
+        never = "positive" if is_negative else "negative"
         yield Finding.of(
             self.topic,
             Kind.UNSIGNED_EFFORT,
-            f"the effort of {self._list_names(places)} is never negative, although the joints move "
+            f"the effort of {self._list_names(places)} is never {never}, although the joints move "
             "both ways, as if it were a magnitude; let the driver give efforts their signs",
             {"joints": len(places)},
             Severity.WARNING,

@@ -429,11 +429,14 @@ def delay_finding(
     if abs(delay) <= LARGEST_DELAY or abs(delay) <= DEVIATIONS * std:
         return
     which = "late" if delay > 0 else "early"
+    is_commanded = bool(what) and delay < 0
+    hint = "; efforts that are computed from commands look early" if is_commanded else ""
     yield Finding(
         Kind.DELAY,
         topic,
         Severity.WARNING,
         f"{topic}: {f'{what} are' if what else 'is'} {1e3 * abs(delay):.1f} ± {1e3 * std:.1g} ms "
-        f"{which} relative to {others}; set stamps to the time of the measurement",
+        f"{which} relative to {others}{hint}; set stamps to the time of the measurement, or add "
+        "sensor_delay to `sensor_errors`, which estimates it",
         {"delay_ms": 1e3 * delay, "delay_std_ms": 1e3 * std},
     )

@@ -7,6 +7,7 @@ import numpy as np
 from symbid_ros.arrays import IntArray
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity, StreamFigures
 from symbid_ros.signals.defects import Intervals
+from symbid_ros.signals.segments import SHORTEST_PAUSE
 
 # Stamps whose periods vary more are arrival times instead of sampling times.
 JITTER = 0.25
@@ -121,6 +122,9 @@ class TimingCheck:
             share = self.missing / (self.missing + self.messages)
             # A share of nearly all would be rounded to all.
             percent = f"{100 * share:.2g}" if share < 0.995 else "over 99"
+            pause = ""
+            if self.longest >= SHORTEST_PAUSE:
+                pause = "; give recordings with a pause between them as several bags or logs"
             gaps = "1 gap, which" if self.gaps == 1 else f"{self.gaps} gaps, the longest"
             found.append(
                 Finding(
@@ -129,7 +133,7 @@ class TimingCheck:
                     Severity.UNUSABLE if share > MOST_MISSING else Severity.WARNING,
                     f"{self.topic}: {self.missing} messages ({percent} %) are missing in "
                     f"{gaps} lasts {figures.longest_gap_s:.3g} s; record "
-                    "closer to the sensor, with a deeper queue",
+                    f"closer to the sensor, with a deeper queue{pause}",
                     {
                         "gaps": self.gaps,
                         "missing": self.missing,

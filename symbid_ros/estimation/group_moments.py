@@ -7,7 +7,7 @@ affects its own joint's rows only, so whether it predicts rows that were not use
 the same moments. Both need no second pass over the data.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -29,27 +29,32 @@ COLUMNS = 12
 
 @dataclass(frozen=True)
 class Grouping:
-    """Which group a row belongs to: periods of a log are dealt to the groups in turn.
+    """Which group a row belongs to: seconds of a log are dealt in turn, or each has a long part.
 
     Attributes
     ----------
-    period : int
-        Length of a period, ns.
-    start : int
-        Stamp at which one begins, ns.
+    borders : tuple of int
+        Stamps between contiguous groups, ns; empty if seconds are dealt to the groups.
     """
 
-    period: int = SECOND
-    start: int = 0
+    borders: tuple[int, ...] = ()
 
     @classmethod
-    def contiguous(cls, start: int, stop: int) -> "Grouping":
-        """Return the grouping of a log into as many contiguous parts as there are groups."""
-        return cls((stop - start) // GROUPS + 1, start)
+    def contiguous(cls, spans: Sequence[tuple[int, int]]) -> "Grouping":
+        """Return the grouping into parts of equal recorded time: spans without pauses, ns."""
+        lengths = np.array([stop - start for start, stop in spans])
+        ends = np.cumsum(lengths)
+        borders = []
+        for elapsed in (int(ends[-1]) * number // GROUPS for number in range(1, GROUPS)):
+            place = int(np.searchsorted(ends, elapsed))
+            borders.append(spans[place][1] - int(ends[place]) + elapsed)
+        return cls(tuple(borders))
 
     def of(self, stamp: IntArray) -> IntArray:
         """Return the groups (N,) of rows at stamps (N,), ns."""
-        groups: IntArray = (stamp - self.start) // self.period % GROUPS
+        if self.borders:
+            return np.searchsorted(np.array(self.borders), stamp, side="right")
+        groups: IntArray = stamp // SECOND % GROUPS
         return groups
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from symbid_ros.arrays import FloatArray
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.diagnosis import doctor
-from symbid_ros.diagnosis.findings import Diagnosis, Kind
+from symbid_ros.diagnosis.findings import Diagnosis, Kind, has_unsigned_efforts
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
@@ -33,13 +33,14 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import chosen_options
 from symbid_ros.signals.given_arrays import number_array
-from symbid_ros.signals.log import Log, require_log
+from symbid_ros.signals.joined_log import as_one_log
+from symbid_ros.signals.log import Log
 
 
 @on_one_blas_thread
 def identify(
     robot: RobotModel | str | Path,
-    log: Log | LogInformation,
+    log: Log | Sequence[Log] | LogInformation,
     options: IdentifyOptions | None = None,
     **fields: Any,
 ) -> Result:
@@ -49,8 +50,9 @@ def identify(
     ----------
     robot : RobotModel, str or Path
         A robot, or its URDF or MJCF. Its kinematics are used, and its inertias as prior means.
-    log : Log or LogInformation
-        Measurements, or the information of earlier logs (see :func:`merge`).
+    log : Log, sequence of Log, or LogInformation
+        Measurements, those of several recordings in the order of time, or the information of
+        earlier logs (see :func:`merge`).
     options : IdentifyOptions, optional
         Options of the identification.
     **fields
@@ -79,7 +81,7 @@ def identify(
     """
     options = chosen_options(IdentifyOptions, options, fields)
     robot = as_model(robot)
-    require_log(log, LogInformation)
+    log = as_one_log(log, LogInformation)
     if isinstance(log, LogInformation):
         problem = load_information(robot, log.observations, options)
         found = problem.with_provenance(problem.solve())
@@ -94,7 +96,7 @@ def identify(
 @on_one_blas_thread
 def diagnose(
     robot: RobotModel | str | Path | None,
-    log: Log,
+    log: Log | Sequence[Log],
     options: RobotOptions | None = None,
     **fields: Any,
 ) -> Diagnosis:
@@ -105,7 +107,8 @@ def diagnose(
     robot : RobotModel, str, Path or None
         The nominal robot or its file, with inertias within about 25 %; None checks each topic by
         itself.
-    log : Log
+    log : Log or sequence of Log
+        Of several recordings in the order of time.
     options : RobotOptions, optional
         Mounting, wrist sensors and contacts, as of an identification.
     **fields
@@ -130,7 +133,7 @@ def diagnose(
     """
     options = chosen_options(RobotOptions, options, fields)
     robot = None if robot is None else as_model(robot)
-    require_log(log)
+    log = as_one_log(log)
     if robot is None:
         return doctor.diagnose(log)
     log = log.of_robot(robot)
@@ -147,11 +150,13 @@ def diagnose(
         return replace(of_streams, left_out=(left_out,)).with_finding(
             degrees.finding(of_streams.streams[0].topic)
         )
+    diagnosis = doctor.diagnose(log, robot)
+    if robot.floating or has_unsigned_efforts(diagnosis.findings):
+        return diagnosis
     if searches_gravity(options, robot):
         found = find_gravity(segments, robot)
     if found is None:
-        diagnosis = doctor.diagnose(log, robot)
-        readings = None if robot.floating else find_readings(segments, robot)
+        readings = find_readings(segments, robot)
         return diagnosis if readings is None else _with_readings(diagnosis, readings)
     diagnosis = doctor.diagnose(log, robot.with_gravity(found.direction))
     return diagnosis.with_finding(found.finding(robot.source))
@@ -161,13 +166,13 @@ def _with_readings(diagnosis: Diagnosis, readings: JointReadings) -> Diagnosis:
     """Return a diagnosis with wrong readings of joints."""
     (topic, *_) = (one.topic for one in diagnosis.streams)
     finding = readings.finding(topic)
-    if not readings.are_positions_right:
-        return diagnosis.with_readings(finding)
     # Gains, if known, show signs of efforts together with their units.
     found = [one for one in diagnosis.findings if one.kind is Kind.TORQUE_SIGN]
     signs = {name.removesuffix("/gain") for one in found for name in one.figures}
-    is_said = signs.issuperset(readings.reversed_efforts)
-    return diagnosis if is_said else diagnosis.with_finding(finding)
+    if readings.are_positions_right and signs.issuperset(readings.reversed_efforts):
+        return diagnosis
+    depends = not readings.are_positions_right or readings.are_all_efforts_reversed
+    return diagnosis.with_readings(finding) if depends else diagnosis.with_finding(finding)
 
 
 @on_one_blas_thread

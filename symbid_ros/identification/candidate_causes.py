@@ -17,9 +17,10 @@ from symbid_ros.dynamics.regressor import Rows, coulomb_column, friction_state, 
 from symbid_ros.dynamics.upright import upward
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
-from symbid_ros.identification.warming import LEAST_WARMING
+from symbid_ros.identification.warming import is_too_short
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.warming import Course, courses_of
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
 from symbid_ros.signals.segments import Segment, stamp_spans
@@ -111,8 +112,7 @@ class CandidateRows:
         if first is None:
             return None
         build = CandidateBuilder.of(problem.row_builder, found, problem.parameters, first)
-        spans = stamp_spans(segments)
-        build = replace(build, span=(spans[0][0], spans[-1][1]))
+        build = replace(build, courses=courses_of(stamp_spans(segments)))
         window = problem.observations[-1].window
         slips = problem.choice is not None and problem.choice.slips
         parts = []
@@ -164,8 +164,8 @@ class CandidateBuilder:
         The sensor errors that follow them.
     terms : tuple of str
         Joint terms that were not identified.
-    span : (int, int)
-        First and last stamp of the log, ns.
+    courses : tuple of (int, int)
+        First and last stamp of each part of the log, ns.
     """
 
     build: RowBuilder
@@ -173,7 +173,7 @@ class CandidateBuilder:
     unknowns: FloatArray
     errors: SensorErrors | None
     terms: tuple[str, ...]
-    span: tuple[int, int] = (0, 0)
+    courses: tuple[Course, ...] = ((0, 0),)
 
     @classmethod
     def of(
@@ -199,10 +199,15 @@ class CandidateBuilder:
         return cls(build, parameters, found.unknowns, errors, missing)
 
     @property
+    def span(self) -> tuple[int, int]:
+        """First and last stamp of the log, ns."""
+        return self.courses[0][0], self.courses[-1][1]
+
+    @property
     def effects(self) -> tuple[str, ...]:
         """Kinds with one column for each joint; a delay's also serve for all efforts together."""
         gain = () if self.errors is None else ("torque_gain",)
-        warming = ("warming",) if self.span[1] - self.span[0] >= LEAST_WARMING else ()
+        warming = () if is_too_short(self.courses) else ("warming",)
         return (*self.terms, "quadratic", *warming, "delay", *gain)
 
     def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:

@@ -131,7 +131,7 @@ def identified_robot(folder: Path, robot: Path, estimate: Estimate) -> RobotMode
     if not mjcf:
         _refuse_negative_masses(folder, estimate)
     try:
-        found = load_mjcf(file) if mjcf else load_urdf(file, base)
+        found = load_mjcf(file, base) if mjcf else load_urdf(file, base)
     except ModelError as error:
         raise EstimateError(
             f"{folder}: its model cannot be read ({error}); identify the log again", "E527"
@@ -237,7 +237,7 @@ def _require_parameters(path: Path, wanted: RobotModel) -> None:
     """Raise an error unless a written file loads and holds the parameters of a robot."""
     base: Base = "floating" if wanted.floating else "fixed"
     try:
-        read = load_mjcf(path) if is_mjcf(path) else load_urdf(path, base)
+        read = load_mjcf(path, base) if is_mjcf(path) else load_urdf(path, base)
     except ModelError as error:
         reason = str(error)
     else:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.diagnosis.findings import OF_READINGS
+from symbid_ros.diagnosis.findings import OF_READINGS, has_unsigned_efforts
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.unexplained import force_text
 from symbid_ros.identification.identification import Identification
@@ -48,7 +48,8 @@ def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Iden
     named = set[str]()
     unpredicted, unjudged = _unpredicted(problem, found)
     readings = None
-    if (found.alarms or unpredicted or resting) and not problem.options.drive_gains:
+    is_signed = not (problem.options.drive_gains or has_unsigned_efforts(problem.checks.findings))
+    if (found.alarms or unpredicted or resting) and is_signed:
         readings = find_readings(tuple(dataset.segments), model)
     cause = WRONG_READINGS if readings is not None else FROZEN if resting else ""
     found = explained(problem, found, cause)

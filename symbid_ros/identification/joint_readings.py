@@ -28,6 +28,8 @@ MOST_JOINTS = 20  # every pair is tried
 # Friction that gives a joint this share of the power of its effort shows a wrong sign, if the fit
 # leaves no more than that share of the effort. Friction of right logs of real robots gives .12.
 DRIVEN, MOST_OF_IT = 0.5, 0.5
+# Efforts of so many joints and more are called those of all joints, if they are.
+FEWEST_OF_ALL = 3
 # Signs of position and effort that are tried for each joint.
 REVERSALS = (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)
 # The same with measured wrenches: one with the wrong sign, as of a payload, looks like an effort
@@ -49,6 +51,8 @@ class JointReadings:
         Signs of the readings.
     unexplained : float
         Share of the efforts (RMS) that a fit leaves.
+    driven : frozenset of str
+        Joints whose efforts the log has.
     """
 
     names: tuple[str, ...]
@@ -56,6 +60,7 @@ class JointReadings:
     position: FloatArray
     effort: FloatArray
     unexplained: float = 1.0
+    driven: frozenset[str] = frozenset()
 
     @classmethod
     def unchanged(cls, names: tuple[str, ...]) -> "JointReadings":
@@ -80,6 +85,11 @@ class JointReadings:
         """Joints whose effort alone has the wrong sign."""
         signs = zip(self.names, self.position, self.effort, strict=True)
         return tuple(name for name, position, effort in signs if position > 0 > effort)
+
+    @property
+    def are_all_efforts_reversed(self) -> bool:
+        """Whether efforts of all joints have the wrong sign, of three joints or more."""
+        return len(self.driven) >= FEWEST_OF_ALL and self.driven == {*self.reversed_efforts}
 
     @property
     def are_positions_right(self) -> bool:
@@ -126,7 +136,8 @@ class JointReadings:
                 (True, "position, velocity and effort"),
             )
         }
-        groups["efforts"] = list(self.reversed_efforts)
+        is_all = self.are_all_efforts_reversed
+        groups["efforts"] = ["all joints"] if is_all else list(self.reversed_efforts)
         reversed_ = [f"{what} of {', '.join(names)}" for what, names in groups.items() if names]
         if reversed_:
             said.append(f"{', '.join(reversed_)} have the opposite sign of the model's joint axis")
@@ -145,8 +156,8 @@ class JointReadings:
     @property
     def alarm(self) -> str:
         """The fault and the options that correct it, for an identification."""
-        given = (f"`{option}` {','.join(values)}" for option, values in self.options.items())
-        return f"{self.fault}; give {' and '.join(given)}"
+        pairs = ((option, one) for option, values in self.options.items() for one in values)
+        return f"{self.fault}; give {' '.join(f'`{option}` {one}' for option, one in pairs)}"
 
     def finding(self, topic: str) -> Finding:
         """Return the doctor's finding about the topic of the joint states."""
@@ -160,7 +171,8 @@ def find_readings(segments: Sequence[Segment], robot: RobotModel) -> JointReadin
 
     Joints are exchanged or reversed one after another as long as that explains the efforts better.
     The effort of a joint that mostly overcomes friction has the wrong sign if that friction would
-    drive the joint.
+    drive the joint. Efforts or positions of all joints have it if friction would drive the robot,
+    and with the opposite sign takes power at every joint.
 
     Parameters
     ----------
@@ -178,13 +190,18 @@ def find_readings(segments: Sequence[Segment], robot: RobotModel) -> JointReadin
     def read(readings: JointReadings) -> LooseRows | None:
         return loose_rows([readings.applied_to(one) for one in blocks], robot)
 
-    readings = JointReadings.unchanged(robot.joint_names)
+    driven_names = frozenset(robot.joint_names[index] for index in moving)
+    readings = replace(JointReadings.unchanged(robot.joint_names), driven=driven_names)
     rows = read(readings)
     if rows is None:
         return None
     first = rows.fit()
-    explained = first.shares[moving].max() < EXPLAINED
     has_wrenches = any(one.wrench_frames for one in blocks)
+    if not has_wrenches:
+        together = _reversed_together(readings, first, moving, read)
+        if together is not None:
+            return together
+    explained = first.shares[moving].max() < EXPLAINED
     reversals = REVERSALS_BESIDE_WRENCHES if has_wrenches else REVERSALS
     found = None if explained else _likelier(readings, rows, moving, reversals, read)
     readings, best = found or (readings, first)
@@ -193,6 +210,35 @@ def find_readings(segments: Sequence[Segment], robot: RobotModel) -> JointReadin
             readings = readings.with_reversed(joint, 1.0, -1.0)
     readings = replace(readings, unexplained=best.unexplained)
     return readings if readings.changed else None
+
+
+def _reversed_together(
+    readings: JointReadings,
+    own: LooseFit,
+    moving: Sequence[int],
+    read: Callable[[JointReadings], LooseRows | None],
+) -> JointReadings | None:
+    """Return readings with all efforts, or all positions, reversed if friction shows that.
+
+    Single joints do not: their links may have any mass here, and explain either sign.
+    """
+    if own.dissipates:
+        return None
+    found = {}
+    for signs in ((1.0, -1.0), (-1.0, 1.0)):
+        changed = readings
+        for joint in moving:
+            changed = changed.with_reversed(joint, *signs)
+        if (rows := read(changed)) is not None:
+            found[signs] = replace(changed, unexplained=(fit := rows.fit()).unexplained), fit
+    if len(found) < 2:
+        return None
+    (efforts, fit), (positions, other) = found.values()
+    if other.cost + EVIDENCE < fit.cost:
+        efforts, fit = positions, other
+    is_likelier = fit.cost < own.cost and fit.unexplained < MOST_LEFT
+    takes_power = bool(np.all(fit.power[moving] > 0)) and fit.dissipates
+    return efforts if is_likelier and takes_power else None
 
 
 def _likelier(

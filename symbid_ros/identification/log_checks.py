@@ -9,7 +9,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.choices import SensorErrorKind
-from symbid_ros.diagnosis.findings import OF_READINGS, FaultSpan, Finding, Kind, merged
+from symbid_ros.diagnosis.findings import (
+    OF_READINGS,
+    OF_SIGNED_EFFORTS,
+    FaultSpan,
+    Finding,
+    Kind,
+    has_unsigned_efforts,
+    merged,
+)
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
@@ -160,6 +168,8 @@ def check_dataset(
             checks.wrench_topics,
             conversions=checks.conversions,
         ).findings
+    if has_unsigned_efforts(of_streams):
+        found = [one for one in found if one.kind not in OF_SIGNED_EFFORTS]
     mountings = {}
     tares = {}
     if "plate_offset" in estimated and statistics is not None:

@@ -27,6 +27,7 @@ from symbid_ros.identification.force_errors import (
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result import Result
 from symbid_ros.identification.validation_result import Advice, PredictedEfforts, Validation
+from symbid_ros.signals.joined_log import as_one_log
 from symbid_ros.signals.log import Log, require_log
 from symbid_ros.signals.segments import Segment
 
@@ -39,7 +40,7 @@ NOTICEABLE, SMALL_EFFORT = 0.01, 0.05
 
 @on_one_blas_thread
 def validate(
-    result: Result | str | Path, log: Log, *, payload: str | Sequence[str] = ()
+    result: Result | str | Path, log: Log | Sequence[Log], *, payload: str | Sequence[str] = ()
 ) -> Validation:
     """Compare what an identified robot predicts for a log with what was measured.
 
@@ -47,9 +48,9 @@ def validate(
     ----------
     result : Result, str or Path
         A result, or the folder of a saved one.
-    log : Log
-        Measurements that the identification did not use.
-    payload : str or sequence of str
+    log : Log or sequence of Log
+        Measurements that the identification did not use, also of several recordings.
+    payload : sequence of str
         Payloads that the robot carries in it: ``LINK,MASS,X,Y,Z``, or ``LINK,MASS`` if the result
         has identified the place.
 
@@ -68,6 +69,7 @@ def validate(
     OptionError
         When a payload is invalid.
     """
+    log = as_one_log(log)
     predictor = predictor_of(result, log, payload)
     return validate_segments(predictor, AlignedLog(log, predictor.parameters.model), log.source)
 

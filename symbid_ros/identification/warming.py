@@ -16,12 +16,12 @@ from symbid_ros.identification.candidate_trial import leaves_residuals, training
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.warming import MOST_PARTS, WARMING_TERMS, Warming, courses_of
+from symbid_ros.model.warming import MOST_PARTS, WARMING_TERMS, Course, Warming, courses_of
 from symbid_ros.signals.segments import Segment, stamp_spans
 
 logger = logging.getLogger(__name__)
 
-# Shorter logs do not tell a drive that warms up from other effects, ns.
+# Shorter logs, without their pauses, do not tell a drive that warms up from other effects, ns.
 LEAST_WARMING = 50_000_000_000
 # Shares of the square error of left-out rows of its joint that a change must remove. The drives of
 # a robot warm up together: if one does, any improvement tells that the grease of another does.
@@ -30,6 +30,11 @@ LEAST_GAINS: tuple[tuple[float, tuple[Term, ...]], ...] = (
     (0.0, ("viscous",)),
     (0.05, ("coulomb",)),
 )
+
+
+def is_too_short(courses: Iterable[Course]) -> bool:
+    """Return whether parts of a log, without the pauses, do not tell whether drives warm up."""
+    return sum(stop - start for start, stop in courses) < LEAST_WARMING
 
 
 def find_warming(solved: SolvedProblem, dataset: Dataset) -> tuple[Warming, ...]:
@@ -51,7 +56,7 @@ def find_warming(solved: SolvedProblem, dataset: Dataset) -> tuple[Warming, ...]
     if choice is None or choice.parameters.warming or not leaves_residuals(solved):
         return ()
     courses = courses_of(stamp_spans(dataset.segments))
-    if courses[-1][1] - courses[0][0] < LEAST_WARMING:
+    if is_too_short(courses):
         return ()
     if len(courses) > MOST_PARTS:
         logger.info(
@@ -74,8 +79,7 @@ def find_warming(solved: SolvedProblem, dataset: Dataset) -> tuple[Warming, ...]
     parameters = during(replace(choice.parameters, warming=tried), training)
     # A course in time would predict seconds that are left out from their neighbours, of whatever
     # slow error: it has to predict parts of the log that are long compared with that.
-    spans = stamp_spans(training)
-    grouping = Grouping.contiguous(spans[0][0], spans[-1][1])
+    grouping = Grouping.contiguous(stamp_spans(training))
     trial = try_columns(
         solved, training, dataset.source, parameters, slips=choice.slips, grouping=grouping
     )

@@ -32,9 +32,9 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
     path : str or Path
         ``.urdf`` or ``.xml`` file.
     base : {"auto", "floating", "fixed"}
-        Whether the base may move. An MJCF says so by a free joint, which "floating" and
-        "fixed" must match. "auto" takes the base of a URDF as floating unless a fixed joint
-        carries it on a massless root ``world``.
+        Whether the base may move. An MJCF says so by a free joint, which "floating" needs and
+        "fixed" welds. "auto" takes the base of a URDF as floating unless a fixed joint carries it
+        on a massless root ``world``.
 
     Returns
     -------
@@ -44,7 +44,8 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
     Raises
     ------
     ModelError
-        When the file is not a valid URDF or MJCF, or an MJCF contradicts ``base``.
+        When the file is not a valid URDF or MJCF, or the base of an MJCF has no free joint
+        although ``base`` is "floating".
     OptionError
         When ``base`` is none of these.
     DataError
@@ -56,8 +57,13 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
     if not is_mjcf(path):
         model = load_urdf(path, base)
     else:
-        model = load_mjcf(path)
-        _require_base(model, path, base)
+        model = load_mjcf(path, base)
+        if base == "floating" and not model.floating:
+            raise ModelError(
+                f"{path}: its base has no free joint, so it is fixed; add <freejoint/> to the "
+                "base, or drop `base` floating",
+                "E115",
+            )
         _report_ignored(path, model)
     _report_massless(model, is_base_known=base != "auto")
     _report_density(model)
@@ -86,21 +92,6 @@ def as_model(robot: RobotModel | str | Path) -> RobotModel:
         f"{type(robot).__name__}",
         "E511",
     )
-
-
-def _require_base(model: RobotModel, path: Path, base: Base) -> None:
-    if base == "fixed" and model.floating:
-        raise ModelError(
-            f"{path}: its base has a free joint, so it is not fixed; remove that joint, or drop "
-            "`base` fixed",
-            "E115",
-        )
-    if base == "floating" and not model.floating:
-        raise ModelError(
-            f"{path}: its base has no free joint, so it is fixed; add <freejoint/> to the base, "
-            "or drop `base` floating",
-            "E115",
-        )
 
 
 def _report_ignored(path: Path, model: RobotModel) -> None:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.choices import Base
 from symbid_ros.errors import ModelError
 from symbid_ros.model.bodies import Body, BodyJoint, assemble
 from symbid_ros.model.inertia import phi_from_com
@@ -17,7 +18,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.xml_file import Element, as_element
 
 
-def load_mjcf(path: Path) -> RobotModel:
+def load_mjcf(path: Path, base: Base = "auto") -> RobotModel:
     """Load an MJCF: its only moving tree, with bodies as links and sites as frames.
 
     Where a branch of the tree ends in one ball that can touch something, such as a foot, its centre
@@ -27,7 +28,8 @@ def load_mjcf(path: Path) -> RobotModel:
     with a linear ``polycoef`` says so: ``joint1`` follows ``joint2``, or the reverse if only
     ``joint1`` has a motor. Where both have one, the equality is ignored.
 
-    The base floats if the root of the tree has a free joint. Bodies welded to the world (a
+    The base floats if the root of the tree has a free joint, unless ``base`` is "fixed": it is then
+    welded to the world where the file has it. Bodies welded to the world (a
     floor, a table) are not part of a floating robot, and free bodies without joints, such as a box
     that a robot may grasp, of no robot.
 
@@ -38,7 +40,7 @@ def load_mjcf(path: Path) -> RobotModel:
         compile it, or when it has a ball joint, a free joint below the root or more than one
         moving tree.
     """
-    return _Reader(_compiled(path), str(path)).model()
+    return _Reader(_compiled(path), str(path)).model(is_welded=base == "fixed")
 
 
 def file_bodies(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
@@ -128,9 +130,9 @@ class _Reader:
         index = {body: position for position, body in enumerate(members)}
         return [self._body(body, index, root) for body in members], root
 
-    def model(self) -> RobotModel:
+    def model(self, *, is_welded: bool) -> RobotModel:
         bodies, root = self.bodies()
-        floating = self.FREE in self._joint_kinds(root)
+        floating = self.FREE in self._joint_kinds(root) and not is_welded
         gravity = np.array(self.m.opt.gravity)
         if not floating and root != 0:
             gravity = rotation_from_quaternion(self.m.body_quat[root]).T @ gravity

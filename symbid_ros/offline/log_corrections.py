@@ -21,7 +21,7 @@ from symbid_ros.diagnosis.common_scale import (
 )
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.effort_findings import GAINS
-from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, has_unsigned_efforts
 from symbid_ros.diagnosis.forces import EXPLAINED
 from symbid_ros.diagnosis.joint_checks import DEGREES
 from symbid_ros.diagnosis.stream_checks import StreamChecks
@@ -80,10 +80,12 @@ class LogCorrections:
         """Look for all of them, each with those before it in effect."""
         self._name_wrist_sensors()
         self._convert_degrees()
-        self._correct_joints_and_gravity()
-        self._correct_signs_and_units()
-        if self._reverse_single_efforts():
+        self.setup.diagnosis = self._diagnosed()
+        if not has_unsigned_efforts(self.setup.diagnosis.findings):
+            self._correct_joints_and_gravity()
             self._correct_signs_and_units()
+            if self._reverse_single_efforts():
+                self._correct_signs_and_units()
         self._note_findings()
 
     def _log(self, robot: RobotModel) -> Log:

@@ -146,7 +146,6 @@ def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
         ({"sensor_errors": ","}, "--sensor-errors is empty"),
         ({"cutoff": 20}, "weak has neither --cutoff nor --channels"),
         ({"method": "wls_rc", "cutoff": 0.05}, "too short for this filter"),
-        ({"base": "fixed"}, "has a free joint, so it is not fixed; remove that joint, or drop"),
         ({"filter": "savitzky_golay", "channels": "thesis"}, "has neither --cutoff nor --channels"),
         ({"filter": "butterworth", "window": 0.1}, "butterworth has no --window"),
         ({"window": 0}, "--window: 0.0 is not valid; give a number (s) above 0"),

@@ -541,6 +541,17 @@ def test_reversed_joints_are_found_rather_than_scales(tmp_path, joint, is_axis) 
     assert ("effort_scale" in finding.message) == is_axis
 
 
+@pytest.mark.parametrize(("sign", "never"), [(1.0, "negative"), (-1.0, "positive")])
+def test_no_sign_or_factor_is_written_for_magnitudes(tmp_path, sign, never) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 20.0, 5).joints
+    sizes = replace(read, effort=sign * np.abs(read.effort))
+    bag = joints_only(tmp_path / "bag", *arm_messages(sizes, arm.joint_names))
+    setup = inspect_robot(ur5_urdf(), [bag], "fixed")
+    assert not {"effort_scale", "drive_gain", "flip_joint", "gravity"} & set(setup.options)
+    assert any(f"never {never}" in line for line in setup.comments[""])
+
+
 @pytest.mark.parametrize("joint", [1, 2, 4])
 @pytest.mark.parametrize("is_axis", [False, True])
 def test_a_wrong_unit_does_not_hide_a_reversed_joint(tmp_path, joint, is_axis) -> None:

@@ -10,7 +10,13 @@ from expected_errors import raises_code
 
 import symbid_ros as sy
 from symbid_ros.diagnosis.doctor import diagnose
-from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
+from symbid_ros.diagnosis.findings import (
+    OF_SIGNED_EFFORTS,
+    Diagnosis,
+    Kind,
+    Severity,
+    has_unsigned_efforts,
+)
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification import position_units
 from symbid_ros.identification.log_reading import first_segments
@@ -140,6 +146,20 @@ def test_a_reversed_position_does_not_accuse_the_efforts_of_other_joints(
     assert finding.kind is kind
     with raises_code("E517", option):
         sy.identify(robot, log)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_magnitudes_are_not_taken_for_wrong_signs(ur5, sign) -> None:
+    """Efforts without signs explain neither signs nor factors; the alarm says what to correct."""
+    streams = arm_streams(ur5, SECONDS, 1, friction=0.3)
+    sizes = sign * np.abs(streams.joints.effort)
+    log = Log.from_streams(replace(streams, joints=replace(streams.joints, effort=sizes)))
+    found = sy.diagnose(ur5, log).findings
+    assert has_unsigned_efforts(found)
+    assert not {one.kind for one in found} & {*OF_SIGNED_EFFORTS}
+    alarms = sy.identify(ur5, log, no_holdout=True).alarms
+    assert any("as if it were a magnitude" in one for one in alarms)
+    assert not any("opposite sign" in one for one in alarms)
 
 
 def test_one_drive_in_another_unit(ur5) -> None:

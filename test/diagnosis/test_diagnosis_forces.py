@@ -234,6 +234,9 @@ def fits(*scales):
     return {i: RotationFit(1, np.eye(3), 0.0, scale, 0.0, 0.0) for i, scale in enumerate(scales)}
 
 
+UNKNOWN = {"x": (0.5, 2.0)}  # gain of a joint whose load the log does not show
+
+
 def known(*gains):
     return {str(i): (gain, 0.01) for i, gain in enumerate(gains)}
 
@@ -345,11 +348,15 @@ def test_efforts_are_judged_by_sign_and_gain(efforts, common, expected):
 
 def test_all_joints_are_named_together_from_three_on():
     (signs,) = effort_findings("/joints", known(-1, -1, -1), 1.0)
-    assert "effort of all joints has the wrong sign (gain -1.00" in signs.message
+    assert "effort of all joints has the wrong sign; give" in signs.message
+    (more,) = effort_findings("/joints", known(-1, -1, -1), 1.0, UNKNOWN)
+    assert "effort of all joints has" in more.message
+    assert 'effort_scale: ["0:=-1", "1:=-1", "2:=-1", "x:=-1"]' in more.message
+    assert set(more.figures) == {"0/gain", "1/gain", "2/gain", "x/gain"}
     (two,) = effort_findings("/joints", known(-1, -1), 1.0)
     assert "effort of 0, 1 has" in two.message
     (part,) = effort_findings("/joints", known(-1, -1, -1, 1), 1.0)
-    assert "effort of 0, 1, 2 has" in part.message
+    assert "effort of 0, 1, 2 has the wrong sign (gain -1.00" in part.message
     (gains,) = effort_findings("/joints", known(0.1, 0.1, 0.1), 1.0)
     assert "effort of all joints reads 10 times" in gains.message
     (pair,) = effort_findings("/joints", known(0.1, 0.1), 1.0)
@@ -358,19 +365,19 @@ def test_all_joints_are_named_together_from_three_on():
 
 def test_the_line_for_a_robot_file_names_every_joint_with_its_number():
     """It replaces the line of another finding, and of joints that show no load of their own."""
-    found = list(effort_findings("/joints", known(0.1, 5.0, 1.0), 1.0, ["x"]))
+    found = list(effort_findings("/joints", known(0.1, 5.0, 1.0), 1.0, UNKNOWN))
     assert len(found) == 2
     for one in found:
         assert 'write effort_scale: ["0:=0.1", "1:=5"] in robot.yaml' in one.message
         assert "give `drive_gain` 0,1 to identify" in one.message
-    (every,) = effort_findings("/joints", known(1e-3, 1.3e-3, 0.9e-3), 1.0, ["x"])
+    (every,) = effort_findings("/joints", known(1e-3, 1.3e-3, 0.9e-3), 1.0, UNKNOWN)
     assert 'effort_scale: ["0:=0.001", "1:=0.0013", "2:=0.0009", "x:=0.001"]' in every.message
     assert "give `drive_gain` all to" in every.message
 
 
 def test_unlike_factors_without_a_right_one_are_those_of_currents():
     """Factors of the named joints alone would take the others' currents for torques."""
-    found = list(effort_findings("/joints", known(6.4, 3.6, 3.8), 1.0, ["x"]))
+    found = list(effort_findings("/joints", known(6.4, 3.6, 3.8), 1.0, UNKNOWN))
     assert len(found) == 2
     for one in found:
         assert "give `drive_gain` all to identify" in one.message

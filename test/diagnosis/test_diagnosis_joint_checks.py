@@ -337,21 +337,31 @@ def test_joints_without_effort_are_named_by_what_they_report():
 
 
 @pytest.mark.parametrize(
-    ("count", "shape", "is_found"),
-    [(4, np.abs, True), (3, np.abs, False), (4, np.asarray, False), (6, np.abs, True)],
+    ("count", "shape", "scale", "is_found"),
+    [
+        (4, np.abs, {}, True),
+        (3, np.abs, {}, False),
+        (4, np.asarray, {}, False),
+        (6, np.abs, {}, True),
+        (4, lambda effort: -np.abs(effort), {}, True),
+        (4, lambda effort: np.abs(effort) * [-2, 1, 1, 1], {"joint0": -2.0}, True),
+    ],
 )
-def test_efforts_that_are_magnitudes_are_named(count, shape, is_found):
+def test_efforts_that_are_magnitudes_are_named(count, shape, scale, is_found):
+    """Whatever the user's factors, of which one reverses the first joint here."""
     names = tuple(f"joint{index}" for index in range(count))
     angle = OMEGA * TIME[:, None] + np.arange(count)
     position, velocity = 0.5 * np.sin(angle), 0.5 * OMEGA * np.cos(angle)
     effort = shape(np.cos(angle) + 0.5 * np.sign(velocity))
     stamp = PERIOD * np.arange(COUNT, dtype=np.int64)
     check = JointCheck("/joints", names)
-    check.add(JointStream("/joints", names, stamp, position, velocity, effort))
+    stream = JointStream("/joints", names, stamp, position, velocity, effort, effort_scale=scale)
+    check.add(stream)
     found = [one for one in check.findings(None) if one.kind is Kind.UNSIGNED_EFFORT]
     assert [one.severity for one in found] == [Severity.WARNING] * is_found
     if is_found:
-        assert "the effort of all joints is never negative" in found[0].message
+        sign = "positive" if effort[:, -1].max() <= 0 else "negative"
+        assert f"the effort of all joints is never {sign}" in found[0].message
 
 
 def test_a_load_that_always_pulls_down_is_no_magnitude():

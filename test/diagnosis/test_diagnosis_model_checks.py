@@ -38,6 +38,8 @@ def test_a_delay_exceeds_three_milliseconds_and_five_deviations(delay, std, is_f
         subject = "the efforts are" if what else "is"
         text = f"/imu: {subject} {abs(1e3 * delay):.1f} ± {1e3 * std:.1g} ms {which} relative to"
         assert text in one.message
+        assert ("computed from commands" in one.message) == (bool(what) and delay < 0)
+        assert "add sensor_delay to `sensor_errors`" in one.message
 
 
 def attributed(delays, others=("/imu", "/wrench"), more=()):

@@ -11,6 +11,7 @@ import pytest
 import xacro
 import yaml
 from arm_log import arm_streams
+from drive_logs import arm, drives, log_of
 from expected_errors import raises_code
 from written_results import write_result
 
@@ -19,6 +20,8 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification import installation
 from symbid_ros.identification.installation import inertials_yaml, install, unheld_terms
+from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.log import Log
@@ -87,6 +90,23 @@ def test_a_link_of_which_the_log_tells_nothing_keeps_every_digit(ur5, tmp_path) 
 
     assert inertial(ur5.read_text(), "base_link") == inertial(before, "base_link")
     assert inertial(ur5.read_text(), "forearm_link") != inertial(before, "forearm_link")
+
+
+def test_a_robot_with_a_welded_base_keeps_its_free_joint(tmp_path) -> None:
+    """It was identified hanging, and walks afterwards."""
+    path = tmp_path / "robot.xml"
+    arm_mjcf = mjcf_text(arm(seed=2))
+    base = arm_mjcf.index(">", arm_mjcf.index("<body")) + 1
+    path.write_text(f"{arm_mjcf[:base]}<freejoint/>{arm_mjcf[base:]}")
+    assert load_model(path).floating
+    robot = load_model(path, "fixed")
+    truth = drives(robot, viscous=0.4)
+    found = sy.identify(robot, log_of(robot, truth), no_holdout=True)
+    found.save(tmp_path / "result")
+    assert not ForcePredictor.load(tmp_path / "result").parameters.model.floating
+    install(tmp_path / "result", path)
+    assert load_model(path).floating
+    require_same_links(path, found.robot)
 
 
 def test_pinocchio_reads_the_identified_inertias(ur5, tmp_path) -> None:

@@ -315,3 +315,15 @@ def test_a_support_without_a_sensor_is_a_likely_cause(quadruped, standing):
     found = re.search(r"a support without a sensor, such as a cable, of some (\S+) N", alarm)
     assert found is not None, alarm
     assert float(found[1]) == pytest.approx(lift, rel=0.2)
+
+
+@pytest.mark.parametrize("seconds", [40.0, 80.0])
+def test_drives_that_warm_up_are_no_cause_in_short_recordings_far_apart(robot, seconds):
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    joints = log_of(robot, truth, extra=strange, seconds=seconds).streams().joints
+    time = joints.stamp * 1e-9
+    time[len(time) // 2 :] += 3600.0
+    log = sy.Log.from_arrays(robot, time=time, position=joints.position, effort=joints.effort)
+    alarms = sy.identify(robot, log, no_holdout=True, unchecked=True).alarms
+    (alarm,) = (one for one in alarms if "none of these explains it" in one)
+    assert ("viscous friction that changes during the log" in alarm) == (seconds > 50)

@@ -9,6 +9,7 @@ from drive_logs import arm, drives, log_of
 
 import symbid_ros as sy
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.group_moments import GROUPS, SECOND, Grouping
 from symbid_ros.identification import warming
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import ForcePredictor
@@ -22,6 +23,7 @@ from symbid_ros.report.data_summary import verdict_entries
 SECONDS = 64.0
 START = 1.7e9  # s, of a wall clock
 VISCOUS, COULOMB = 0.4, 0.8
+MILLI = SECOND // 1000
 WARM = np.exp(-2.0)  # what is left of the change at the end
 
 
@@ -166,6 +168,47 @@ def test_a_log_with_many_pauses_is_not_searched(robot, with_pause, monkeypatch, 
     found = sy.identify(robot, with_pause, unchecked=True, no_holdout=True)
     assert not found.estimate.courses
     assert "divide it into 2 parts" in caplog.text
+
+
+def hour_apart(robot, seconds):
+    """Return two recordings with an hour between them and the residuals of fast and slow motion."""
+    truth = drives(robot, viscous=VISCOUS, coulomb=COULOMB)
+    parts = [
+        log_of(
+            robot,
+            truth,
+            seed=seed,
+            seconds=seconds,
+            start=start,
+            slowdown=slowdown,
+            extra=lambda velocity, acceleration: 0.6 * velocity * np.abs(velocity),
+        )
+        .streams()
+        .joints
+        for seed, start, slowdown in ((3, START, 0.6), (4, START + 3600.0, 0.3))
+    ]
+    time = np.concatenate([1e-9 * one.stamp for one in parts])
+    position = np.concatenate([one.position for one in parts])
+    effort = np.concatenate([one.effort for one in parts])
+    return sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
+
+
+@pytest.mark.parametrize("least", [warming.LEAST_WARMING, 0])
+def test_a_pause_is_not_taken_for_time_to_warm_up(robot, monkeypatch, least) -> None:
+    """Two short recordings show no change, however long the pause between them is."""
+    monkeypatch.setattr(warming, "LEAST_WARMING", least)
+    log = hour_apart(robot, seconds=20.0)
+    found = sy.identify(robot, log, unchecked=True, no_holdout=True)
+    assert found.estimate.verdict.is_coloured
+    assert not found.estimate.courses
+
+
+def test_groups_have_equal_recorded_time() -> None:
+    hour = 3600 * SECOND
+    stamp = np.concatenate([np.arange(0, 3 * SECOND, MILLI), hour + np.arange(0, SECOND, MILLI)])
+    spans = [(0, 3 * SECOND), (hour, hour + SECOND)]
+    counts = np.bincount(Grouping.contiguous(spans).of(stamp), minlength=GROUPS)
+    np.testing.assert_allclose(counts, len(stamp) / GROUPS, atol=2)
 
 
 def test_a_saved_result_predicts_the_same_and_its_information_too(tmp_path, robot, found) -> None:

@@ -18,7 +18,7 @@ def body(name, inside="", joint="", **attributes):
 def loaded(tmp_path, *bodies, base="auto"):
     path = tmp_path / "robot.xml"
     path.write_text(f"<mujoco><worldbody>{''.join(bodies)}</worldbody></mujoco>")
-    return load_model(path)
+    return load_model(path, base)
 
 
 LEG = body("leg", joint=HINGE.format("hip"))
@@ -45,6 +45,20 @@ def test_the_moving_tree_is_the_robot(tmp_path, bodies, links, floating):
     robot = loaded(tmp_path, *bodies)
     assert list(robot.link_names) == links
     assert robot.floating is floating
+
+
+def test_a_robot_that_hangs_has_its_free_base_welded(tmp_path):
+    """Where the file has it: tilted here, so gravity points elsewhere in its axes."""
+    tilt = {"pos": "0 0 1", "quat": "0.8 0.6 0 0"}
+    welded = loaded(tmp_path, body("base", LEG, FREE, **tilt), base="fixed")
+    without = loaded(tmp_path, body("base", LEG, **tilt))
+    assert not welded.floating
+    assert welded.joint_names == without.joint_names
+    np.testing.assert_array_equal(welded.phi, without.phi)
+    np.testing.assert_allclose(welded.gravity, without.gravity)
+    assert abs(welded.gravity[1]) > 9
+    with raises_code("E115", "its base has no free joint"):
+        loaded(tmp_path, body("base", LEG), base="floating")
 
 
 @pytest.mark.parametrize(

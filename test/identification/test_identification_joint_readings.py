@@ -1,0 +1,67 @@
+"""Signs that a log gets wrong at all joints together, although single joints do not show them."""
+
+import re
+
+import pytest
+from drive_logs import arm, drives, log_of
+
+import symbid_ros as sy
+from symbid_ros.diagnosis.findings import Kind
+from symbid_ros.identification.joint_readings import JointReadings, find_readings
+from symbid_ros.identification.log_reading import first_segments
+from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.messages.sensor_mapping import SensorMapping
+
+SEEDS = 1, 2, 5
+
+
+def arm_and_log(seed, position=1.0, effort=1.0):
+    """Return an arm and its log, whose readings are multiplied by these factors."""
+    robot = arm(seed=seed, links=5)
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    joints = log_of(robot, truth, seed=seed).streams().joints
+    time, position, effort = 1e-9 * joints.stamp, position * joints.position, effort * joints.effort
+    return robot, sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
+
+
+def found_in(robot, log) -> JointReadings | None:
+    return find_readings(first_segments(log, robot), robot)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_friction_shows_the_sign_of_all_efforts(seed) -> None:
+    assert found_in(*arm_and_log(seed)) is None
+    robot, log = arm_and_log(seed, effort=-1.0)
+    readings = found_in(robot, log)
+    assert set(readings.reversed_efforts) == set(robot.joint_names)
+    assert readings.are_all_efforts_reversed
+    assert "efforts of all joints have" in readings.alarm
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_gravity_tells_reversed_positions_from_reversed_efforts(seed) -> None:
+    robot, log = arm_and_log(seed, position=-1.0)
+    readings = found_in(robot, log)
+    assert readings.reversed_joints == dict.fromkeys(robot.joint_names, False)
+    assert not readings.reversed_efforts
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_one_finding_names_all_joints(seed) -> None:
+    robot, log = arm_and_log(seed, effort=-1.0)
+    signs = Kind.TORQUE_SIGN, Kind.JOINT_READINGS
+    (finding,) = [one for one in sy.diagnose(robot, log).findings if one.kind in signs]
+    assert all(f'"{name}:=-1' in finding.message for name in robot.joint_names)
+
+
+def test_an_alarm_gives_options_that_can_be_given() -> None:
+    names = "a", "b", "c", "d"
+    readings = JointReadings.unchanged(names).with_exchanged(0, 1)
+    for joint, signs in ((1, (-1.0, -1.0)), (2, (-1.0, 1.0)), (3, (1.0, -1.0))):
+        readings = readings.with_reversed(joint, *signs)
+    given: dict[str, list[str]] = {}
+    for option, value in re.findall(r"`(\w+)` ([^\s;]+)", readings.alarm):
+        given.setdefault(option, []).append(value)
+    assert given == readings.options
+    mapping = SensorMapping.of(LogOptions(**given))
+    assert mapping.effort_scale == {"b": -1.0, "d": -1.0}
