@@ -44,7 +44,7 @@ class Alarm(StrEnum):
     UNPREDICTED_EFFORT = "is predicted, although the joint moves"
     UNPREDICTED_END = "the log does not predict its own end"
     WRONG_FACTORS = "the efforts have wrong factors"
-    UNCERTAIN_FACTORS = "links that are possible explain the efforts only with factors"
+    UNCERTAIN_FACTORS = "physically possible links explain the efforts only with factors"
     WRIST_SENSOR = "times what the efforts of the joints imply"
     LARGE_OFFSETS = "encoder offsets are too large to be estimated well"
     RESTING_JOINT = "not move in this log, and the effort"
