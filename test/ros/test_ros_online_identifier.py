@@ -106,6 +106,8 @@ def test_services_solve_enable_and_reset(graph) -> None:
     assert call(graph, SetBool, "/identifier/enable", SetBool.Request(data=True)).success
 
     graph.wait_until(lambda: probe.statuses["estimate"].message != DISABLED)
+    # Statuses come once a second: after a reset, one of them has fewer rows than of ten seconds.
+    graph.wait_until(lambda: probe.until() > 10.0)
     rows = int(probe.values("estimate")["samples"])
     assert call(graph, Trigger, "/identifier/reset").success
     graph.wait_until(lambda: int(probe.values("estimate").get("samples", rows)) < rows)
