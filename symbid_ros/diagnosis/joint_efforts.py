@@ -72,7 +72,7 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
         weight = 1 / (UNMODELLED * (left + (FLOOR * size) ** 2))
         information = weight * columns.T @ columns + np.eye(columns.shape[1])
         information[0, 0] += LEAST**2 * weight * float(load @ load) - 1
-        # Noise in the load attenuates the ratio: its power is no information.
+        # Noise in the load makes the ratio too small, so its power does not count as information.
         apparent = 1 / float(np.linalg.inv(information)[0, 0])
         information[0, 0] -= min(weight * noise, MOST_NOISE * apparent)
         at = np.linalg.solve(information, weight * columns.T @ read)

@@ -194,7 +194,7 @@ def merge(records: Sequence[LogInformation]) -> LogInformation:
     EstimateError
         When the records differ in robot, parameters or windows, or share seconds of a log.
     DataError
-        When there is no record, or one is something else.
+        When the list is empty, or contains anything but LogInformation.
     """
     if isinstance(records, LogInformation) or any(
         not isinstance(one, LogInformation) for one in records

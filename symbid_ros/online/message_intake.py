@@ -89,7 +89,7 @@ class MessageIntake:
         streams.add(topic, stamp, payload)
 
     def posture(self) -> FloatArray | None:
-        """Return the newest joint positions (J,), rad or m; None while there are none."""
+        """Return the newest joint positions (J,), rad or m; None before the first message."""
         try:
             joints = self._streams.newest_joints(POSTURE_TIME)
             columns = joint_columns(joints.names, self._model, joints.topic)

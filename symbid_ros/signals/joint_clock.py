@@ -135,15 +135,20 @@ def roughness(time: FloatArray, position: FloatArray) -> FloatArray:
     """
     weights = _interpolation_weights(time)
     noise = np.sqrt((1 + np.sum(weights**2, axis=1)) / UNIFORM_NOISE)
-    error = interpolation_error(time, position) / noise[:, None]
+    error = _minus_neighbours(position, weights) / noise[:, None]
     return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
 
 def interpolation_error(time: FloatArray, position: FloatArray) -> FloatArray:
     """Return positions (N, J) minus the cubic through their four neighbours, (N - 4, J)."""
-    count = len(time)
+    return _minus_neighbours(position, _interpolation_weights(time))
+
+
+def _minus_neighbours(position: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return positions (N, J) minus the weighted sum of their four neighbours, (N - 4, J)."""
+    count = len(position)
     error = position[2 : count - 2].copy()
-    for weight, shift in zip(_interpolation_weights(time).T, NEIGHBOURS, strict=True):
+    for weight, shift in zip(weights.T, NEIGHBOURS, strict=True):
         error -= weight[:, None] * position[2 + shift : count - 2 + shift]
     return error
 

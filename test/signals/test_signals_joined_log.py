@@ -1,4 +1,4 @@
-"""Several recordings of one robot as arrays: one log in which pauses are no gaps."""
+"""A list of recordings is identified as one log, and the pauses between them are not gaps."""
 
 import numpy as np
 import pytest
