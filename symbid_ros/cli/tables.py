@@ -298,8 +298,7 @@ def _lines(estimate: Estimate) -> list[RenderableType]:
 
 def _verdict_lines(estimate: Estimate, verdict: Verdict) -> list[RenderableType]:
     lines: list[RenderableType] = [
-        f"{len(verdict.directions)} of {estimate.identified} directions determined, "
-        f"{verdict.gain:.0f} bits gained"
+        f"{estimate.describe_determined()} determined, {verdict.gain:.0f} bits gained"
     ]
     if verdict.sensors:
         known = sum(error.determined for error in verdict.sensors)
@@ -371,12 +370,12 @@ def print_validation(found: Validation) -> None:
     print_table(console, "", ERRORS, rows)
     _print_legend(console, [*found.coordinates, *found.groups])
     if found.slow is not None:
-        console.print(f"slow stretches: {found.slow_seconds:.1f} s, loaded by gravity alone")
+        console.print(f"slow stretches: {found.slow_seconds:.1f} s, in which gravity dominates")
     if (mass := found.mass) is not None:
         console.print(
             f"total mass: {mass.before:.2f} kg → {mass.after:.2f} kg, while the forces show "
-            f"{with_std(mass.measured, mass.std or 0.0)} kg, apart from a gain that they have in "
-            "common",
+            f"{with_std(mass.measured, mass.std or 0.0)} kg, if the sensors have no common gain "
+            "error",
             soft_wrap=True,
         )
     if found.coverage is not None and found.normalized_square is not None:
@@ -394,8 +393,8 @@ def _print_legend(console: Console, errors: Sequence[ForceError]) -> None:
     if any(one.coverage is None for one in errors):
         console.print(
             Text(
-                "in 90 %: – if the deviation of the errors is unknown, as of methods without a "
-                "covariance, or if the compared results have windows of different lengths"
+                "in 90 %: – if the standard deviation of the errors is unknown, as with methods "
+                "without a covariance, or if the compared results have windows of different lengths"
             ),
             soft_wrap=True,
         )

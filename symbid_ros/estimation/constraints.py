@@ -206,9 +206,7 @@ def mirror_rows(
         When the ratio is not positive or the robot has no such pair.
     """
     if not 0 < ratio < np.inf:
-        raise EstimateError(
-            f"left/right tying of {ratio:g} prior deviations; give a positive number", "E414"
-        )
+        raise EstimateError(f"`mirror` {ratio:g} is not valid; give a positive number", "E414")
     pairs = mirror_pairs(parameters) if pairs is None else pairs
     if not pairs:
         raise EstimateError(

@@ -65,8 +65,7 @@ def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Iden
     alarms += [alarm for name, alarm in unpredicted.items() if name not in named]
     if missing := [one for name, one in unjudged.items() if name not in named]:
         alarms.append(
-            f"{Alarm.UNJUDGED_FRICTION} {', '.join(missing)}, although the efforts are clear of "
-            "noise: record longer"
+            f"{Alarm.UNJUDGED_FRICTION} {', '.join(missing)}: record longer, with more motion"
         )
     return found.with_alarms(tuple(alarms))
 
@@ -115,8 +114,8 @@ def _unpredicted(
             else "check which joint the driver means by its position and its effort"
         )
         alarms[name] = (
-            f"nothing of the effort of {name} ({force_text(size, unit)}) "
-            f"{Alarm.UNPREDICTED_EFFORT} and the effort is clear of noise: {cause}"
+            f"{Alarm.UNPREDICTED_EFFORT} {name} ({force_text(size, unit)}), although the joint "
+            f"moves and the effort is not noise: {cause}"
         )
     return alarms, unjudged
 

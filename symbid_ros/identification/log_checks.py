@@ -172,7 +172,7 @@ def check_dataset(
         found = [one for one in found if one.kind not in OF_SIGNED_EFFORTS]
     mountings = {}
     tares = {}
-    if "plate_offset" in estimated and statistics is not None:
+    if "wrench_offset" in estimated and statistics is not None:
         tares = {
             frame: Tare(one.mean, one.std) for frame, one in statistics.unloaded.readings().items()
         }

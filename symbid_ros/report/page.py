@@ -219,13 +219,13 @@ def _forces(result: MethodResult, forces: ForceSeries) -> ForcePanels:
     shown = forces.time[-1] - forces.time[0] if len(forces.time) else 0.0
     if shown < 0.9 * (forces.stop - forces.start):
         what += f" Shown are the {significant(float(shown))} s in which forces change most."
-    what += " Errors have an axis of their own."
+    what += " The scale of the errors is their own."
     if given is None and (start := given_options(estimate).get("start")):
         what += f" Time counts from the start of the part that was read, {start:g} s into the bag."
     if has_block_gaps(forces, result.drawn.coverage):
         what += (
-            " Curves have a gap at the end of each block of data, 4 s in most logs, because "
-            "averages do not cross it."
+            " The short gaps in the curves are normal: forces are averaged within blocks of data, "
+            "of 4 s in most logs, and not across their borders."
         )
     if has_hidden_errors(forces):
         what += " Errors of the original model that exceed the measured force are cut off."

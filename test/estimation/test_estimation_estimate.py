@@ -25,7 +25,7 @@ VERDICT = Verdict(
     link_gain={"base": 5.0, "leg": 2.5},
     directions=("base/m", "leg/m"),
     base=(EstimatedQuantity("base/m + leg/m", "kg", 3.0, 0.1, True),),
-    sensors=(EstimatedQuantity("sole/plate_offset", "N", -1.0, 2.0, False),),
+    sensors=(EstimatedQuantity("sole/wrench_offset", "N", -1.0, 2.0, False),),
     unexplained=(UnexplainedForce("knee", "Nm", 3.0, 80.0, 0.0375),),
 )
 ESTIMATE = Estimate(

@@ -438,7 +438,7 @@ def test_results_of_different_robots_are_not_compared(arm, walker) -> None:
 
 
 def test_a_log_of_other_sensors_is_refused(walker) -> None:
-    result = walker.identified(sensor_errors="plate_offset")
+    result = walker.identified(sensor_errors="wrench_offset")
     streams = random_streams(walker.robot, LogPlan(250.0, 3000), HELD_OUT)
     wrench, *others = streams.wrenches
     log = sy.Log.from_streams(

@@ -145,7 +145,7 @@ class TestDataSummary:
         base = self.page.row("base_link/m + link_0/m − 0.5·link_1/mc_x")
         assert base[1:] == ["41.04740 ± 0.00093", "kg", "yes"]
         assert self.page.row("link_1/Ixx")[1:] == ["−0.0182 ± 0.0030", "kg m²", "no"]
-        offset = self.page.row("left_sole/plate_offset_force_x")
+        offset = self.page.row("left_sole/wrench_offset_force_x")
         assert offset[1:] == ["−1.875 ± 0.013", "N", "yes"]
         assert self.page.row("knee/torque_gain")[1:] == ["0.0148 ± 0.0072", "relative", "no"]
         text = text_of(self.page)
