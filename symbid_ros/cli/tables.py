@@ -298,7 +298,8 @@ def _lines(estimate: Estimate) -> list[RenderableType]:
 
 def _verdict_lines(estimate: Estimate, verdict: Verdict) -> list[RenderableType]:
     lines: list[RenderableType] = [
-        f"{estimate.describe_determined()} determined, {verdict.gain:.0f} bits gained"
+        f"{estimate.describe_determined()} determined",
+        f"{verdict.gain:.0f} bits of information gained",
     ]
     if verdict.sensors:
         known = sum(error.determined for error in verdict.sensors)

@@ -99,7 +99,7 @@ def describe_determined(combinations: int | None, single: int, count: int) -> st
     alone = f"{single} of {count} single parameters"
     if combinations is None:
         return alone
-    return f"{combinations} of {count} parameter combinations and {alone}"
+    return f"{combinations} of {count} parameter combinations, {alone}"
 
 
 def square_factor(factor: FloatArray) -> FloatArray:

@@ -192,7 +192,7 @@ class IdentifyOptions(RobotOptions):
         "Joints whose efforts have an unknown unit or sign, such as motor currents: all, none, or "
         "a comma-separated list. A factor on the effort of each is identified.",
         group=JOINTS,
-        unset="arms: those whose efforts clearly have a wrong factor; other robots: none",
+        unset="for arms, those whose efforts clearly have a wrong factor; otherwise none",
     )
     drive_gain_percent: float | None = option(
         None,
@@ -230,7 +230,7 @@ class IdentifyOptions(RobotOptions):
         f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)}. compliance: "
         "elastic joints; link_length, joint_axis: errors of the model's geometry.",
         group=JOINTS,
-        unset="arms: compliance if the log shows it; otherwise none",
+        unset="for arms, compliance if the log shows it; otherwise none",
     )
     filter: Filter | None = option(
         None,

@@ -120,7 +120,7 @@ class SensorErrors:
         )
 
     def _owners(self, kind: str) -> tuple[str, ...]:
-        if kind.startswith("plate"):
+        if kind.startswith("wrench"):
             return self.wrench_frames
         if kind.startswith("imu"):
             return self.imu_frames
@@ -213,7 +213,7 @@ class SensorErrors:
             size = len(DEVIATIONS[kind])
             for index, owner in enumerate(self._owners(kind)):
                 columns = slice(place.start + size * index, place.start + size * (index + 1))
-                if kind.startswith("plate") or (
+                if kind.startswith("wrench") or (
                     kind in (DELAY, FRAME) and owner in self.wrench_frames
                 ):
                     carried = model.ancestors[:, model.loaded_link(owner)]

@@ -140,7 +140,9 @@ def draw_errors(names: tuple[str, ...], seed: int, *, joints: int, plates: int) 
         Numbers of joints and plates.
     """
     drawn = {
-        name: ERRORS[name](np.random.default_rng([seed, *name.encode()]), joints, plates)
+        name: ERRORS[name](
+            np.random.default_rng([seed, *STREAMS.get(name, name).encode()]), joints, plates
+        )
         for name in names
     }
     return replace(SystematicErrors.none(joints, plates), **drawn)
@@ -186,6 +188,14 @@ def _draw_walks(random: np.random.Generator, plates: int) -> FloatArray:
     smooth: FloatArray = PchipInterpolator(60 * np.arange(DRIFT_MINUTES + 1), walks)(second)
     return smooth
 
+
+# Names of the random streams, where they differ from those of the errors: the numbers in published
+# tables come from these.
+STREAMS = {
+    "wrench_gain": "plate_gain",
+    "wrench_offset": "plate_offset",
+    "wrench_position": "plate_pose",
+}
 
 Draw = Callable[[np.random.Generator, int, int], Any]
 

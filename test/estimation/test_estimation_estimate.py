@@ -207,7 +207,7 @@ def test_a_fixed_base_is_not_asked_for_its_total_mass() -> None:
 
 def test_a_weighing_that_does_not_check_the_scale_says_how_uncertain_it_is() -> None:
     verdict = replace(VERDICT, mass_scale=0.01, weighing_std=0.5, sensors=())
-    assert "weighing with a deviation of 0.5 kg" in verdict.describe_mass_scale()
+    assert "weighing with a standard deviation of 0.5 kg" in verdict.describe_mass_scale()
     assert "give `total_mass`," not in verdict.describe_mass_scale()
     alarm = "the weighing of 30.00 ± 0.1 kg contradicts the data, which say 41.07 ± 0.2 kg"
     assert replace(verdict, alarms=(alarm,)).describe_mass_scale() == ""

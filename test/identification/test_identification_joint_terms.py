@@ -203,7 +203,7 @@ def test_a_joint_that_moves_one_way_does_not_tell_coulomb_from_offset():
     effort += 1e-3 * np.random.default_rng(0).normal(size=effort.shape)
     log = sy.Log.from_arrays(robot, time=time, position=samples.position, effort=effort)
     result = sy.identify(robot, log, unchecked=True)
-    assert any("does not tell coulomb from offset" in one for one in result.estimate.remarks)
+    assert any("cannot distinguish coulomb from offset" in one for one in result.estimate.remarks)
 
 
 def test_stribeck_friction_is_chosen():

@@ -200,7 +200,7 @@ def test_predictions_use_the_values_at_the_end(found, parameters, errors, possib
 
     assert error(predictor.unknowns) < 0.1 * error(at_start)
     said = identified.estimate.verdict.describe_drift()
-    assert re.match(r"12 sensor errors drift, wrench_\d/wrench_offset_force_. most clearly: ", said)
+    assert re.match(r"12 sensor errors drift, most clearly wrench_\d/wrench_offset_force_.: ", said)
     # Saved results are read again by these shapes.
     assert identified.calibration.factor.shape[0] == len(predictor.sensor_names)
     assert len(identified.calibration.linearization) == len(identified.unknowns)

@@ -240,7 +240,7 @@ def test_a_log_in_other_units_has_no_use_for_the_model(arm) -> None:
     found = sy.validate(result, light)
     assert found.percent_before > found.percent_after > 100
     assert (found.advice, found.is_better) == ("unfit", False)
-    assert found.verdict.startswith("do not use it, it errs by more than was measured")
+    assert found.verdict.startswith("do not use it, its error is larger than the measured forces")
 
 
 def test_a_model_that_was_right_hardly_differs(arm) -> None:

@@ -174,7 +174,7 @@ def test_every_option_gives_the_same_result_as_the_command(graph, tmp_path: Path
     )
     assert str(tmp_path / "tare") in document["inputs"]
     kinds = {sensor["name"].split("/")[1] for sensor in document["verdict"]["sensors"]}
-    assert {kind.split("_")[0] for kind in kinds} == {"plate", "torque"}
+    assert {kind.split("_")[0] for kind in kinds} == {"wrench", "torque"}
     assert document["parameters"]["L_kfe/offset"]["determined"]
 
 

@@ -106,7 +106,7 @@ def test_the_structure_covers_every_affected_coordinate(robot):
     # Plates load only the joints between them and the base.
     model = parameters.model
     for frame in errors.wrench_frames:
-        columns = [i for i, name in enumerate(errors.names) if name.startswith(f"{frame}/plate")]
+        columns = [i for i, name in enumerate(errors.names) if name.startswith(f"{frame}/wrench")]
         carried = model.ancestors[:, model.frame(frame).link]
         first = 6 * model.floating
         np.testing.assert_array_equal(reach[first:, columns].any(axis=1), carried)
@@ -129,7 +129,7 @@ def test_names_units_deviations_and_places_agree(robot):
         place = errors.places[kind]
         assert place.start == end
         end = place.stop
-        sensors = readings.wrench_frames if kind.startswith("plate") else readings.imu_frames
+        sensors = readings.wrench_frames if kind.startswith("wrench") else readings.imu_frames
         if kind == "sensor_delay":
             sensors = (*readings.imu_frames, *readings.wrench_frames, "efforts")
         if kind == "frame_pose":
@@ -216,7 +216,7 @@ def test_the_simulators_errors_are_undone_to_the_last_digit(kind, perfect):
     mended = errors.corrected(wrong, theta)
     assert_same(mended, perfect)
     assert np.any(np.abs(mended.wrenches - wrong.wrenches) > 1e-3) == (
-        kind == "typical" or kind.startswith("plate")
+        kind == "typical" or kind.startswith("wrench")
     )
     assert_same(errors.corrected(perfect, np.zeros(len(errors))), perfect)
 
