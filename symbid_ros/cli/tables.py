@@ -381,8 +381,8 @@ def print_validation(found: Validation) -> None:
         )
     if found.coverage is not None and found.normalized_square is not None:
         console.print(
-            f"intervals: {100 * found.coverage:.0f} % of the errors lie in their 90 % interval, "
-            f"normalised square {found.normalized_square:.2f}",
+            f"intervals: {100 * found.coverage:.0f} % of the errors lie in their 90 % interval; "
+            f"mean of (error / std)²: {found.normalized_square:.2f}, ideally 1",
             soft_wrap=True,
         )
     style = "bold red" if not found.is_better else "green" if found.is_covered else "yellow"

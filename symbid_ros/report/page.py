@@ -219,7 +219,7 @@ def _forces(result: MethodResult, forces: ForceSeries) -> ForcePanels:
     shown = forces.time[-1] - forces.time[0] if len(forces.time) else 0.0
     if shown < 0.9 * (forces.stop - forces.start):
         what += f" Shown are the {significant(float(shown))} s in which forces change most."
-    what += " The scale of the errors is their own."
+    what += " The errors have their own scale."
     if given is None and (start := given_options(estimate).get("start")):
         what += f" Time counts from the start of the part that was read, {start:g} s into the bag."
     if has_block_gaps(forces, result.drawn.coverage):
