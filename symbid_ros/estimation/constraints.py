@@ -211,7 +211,7 @@ def mirror_rows(
     if not pairs:
         raise EstimateError(
             f"{parameters.model.source}: no two links are named left and right and mirror images "
-            "about the base's x-z plane; leave left/right tying out",
+            "about the base's x-z plane; leave `mirror` out",
             "E415",
         )
     rows = np.zeros((len(pairs), 10, len(parameters)))
