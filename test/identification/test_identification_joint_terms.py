@@ -168,7 +168,7 @@ def test_armature_of_the_first_joint_is_named_as_inseparable():
 def test_an_armature_is_named_beside_the_inertia_about_the_joints_axis():
     parameters = ParameterSet(sy.load_model(ur5_urdf(), "fixed"), ("armature", "offset"))
     pan, lift = replaceable_terms(parameters, np.ones(len(parameters), dtype=bool))
-    end = "; the data determine their sum only"
+    end = "; the data determine only their sum"
     assert pan == f"shoulder_pan_joint/armature acts like shoulder_link/Izz{end}"
     assert lift == f"shoulder_lift_joint/armature acts like upper_arm_link/Iyy{end}"
 
