@@ -181,7 +181,7 @@ def test_the_combination_that_is_named_is_all_that_efforts_show(seed):
     assert remarks
     K = equation_of_motion(parameters, random_motions(robot, 20)).K.reshape(-1, len(parameters))
     for remark in remarks:
-        stated = re.search(r"determine (\S+) ([+−]) (\S+) × (\S+) only", remark)
+        stated = re.search(r"determine only (\S+) ([+−]) (\S+) × (\S+)$", remark)
         link, sign, factor, term = stated.groups()
         # One more of the term, and as much less of the link's parameter: nothing changes.
         columns = K[:, [parameters.names.index(name) for name in (link, term)]]
