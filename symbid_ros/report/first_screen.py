@@ -165,7 +165,7 @@ def key_figures(content: ReportContent) -> tuple[KeyFigure, ...]:
         figures.append(
             KeyFigure(
                 "Determined",
-                describe_measured(estimate),
+                describe_combinations(estimate),
                 "parameter combinations; the others keep the model file’s values",
             )
         )
@@ -186,7 +186,7 @@ def _error_against_truth(content: ReportContent) -> list[KeyFigure]:
     return [KeyFigure("Error against the truth", f"{significant(metrics[key])} mm", note)]
 
 
-def describe_measured(estimate: Estimate) -> str:
+def describe_combinations(estimate: Estimate) -> str:
     """Return the number of determined combinations, as the terminal does."""
     if estimate.verdict is None:
         return ABSENT

@@ -24,7 +24,7 @@ from symbid_ros.report.figures import (
     signal_panels,
     torque_signals,
 )
-from symbid_ros.report.first_screen import describe_measured, error_bars, key_figures, recommend
+from symbid_ros.report.first_screen import describe_combinations, error_bars, key_figures, recommend
 from symbid_ros.report.formatting import significant
 from symbid_ros.report.interactive import figure_css, figure_data, figure_script, script_json
 from symbid_ros.report.log_bars import joint_ranges, timeline
@@ -102,7 +102,7 @@ def render(content: ReportContent) -> str:
         "robot_view": robot.html if robot else "",
         "missing_boxes": _missing_boxes(content),
         "verdict": estimate.verdict,
-        "measured": describe_measured(estimate),
+        "measured": describe_combinations(estimate),
         "entries": verdict_entries(estimate),
         "links": link_rows(estimate, com_std),
         "has_com": bool(com_std),
