@@ -21,8 +21,9 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.user_files import open_regular
 
-FORMAT = 3
-DENSE_FORMAT = 2  # of earlier versions, with all zeros, both halves of moments, and all copies
+FORMAT = 4
+TRIANGLE_FORMAT = 3  # of earlier versions, with triangles only
+DENSE_FORMAT = 2  # before that, with all zeros, both halves of moments, and all copies
 ARCHIVE = "an information.npz"
 MAX_ARRAYS = 10_000
 MAX_BYTES = 2 << 30  # of all arrays, unpacked; a humanoid with 45 joints needs a quarter
@@ -109,11 +110,12 @@ def pack_observations(observations: Sequence[Observations]) -> dict[str, Any]:
 
 def _arrays(one: Observations, key: str) -> dict[str, NDArray[Any]]:
     """Return the arrays of one window length; ``key`` ends their names."""
-    upper = np.triu_indices(one.layout.width)
+    both = one.rows, one.noise
     arrays = {
-        **_without_zeros(f"rows_{key}", one.rows.factor[upper]),
-        **_without_zeros(f"noise_{key}", one.noise.factor[upper]),
-        f"samples_{key}": np.array([one.rows.samples, one.noise.samples]),
+        **_without_zeros(f"rows_{key}", _stored_factor(one.rows)),
+        **_without_zeros(f"noise_{key}", _stored_factor(one.noise)),
+        f"heights_{key}": np.array([len(each.factor) for each in both], dtype=np.int64),
+        f"samples_{key}": np.array([each.samples for each in both]),
         f"counts_{key}": one.counts,
     }
     if one.groups is not None:
@@ -125,6 +127,12 @@ def _arrays(one: Observations, key: str) -> dict[str, NDArray[Any]]:
             [np.column_stack([np.full(len(one.left), one.coordinate), one.left]) for one in parts]
         )
     return arrays
+
+
+def _stored_factor(information: Information) -> FloatArray:
+    """Return the numbers of a factor (r, w), without those below a triangle."""
+    factor, width = information.factor, information.layout.width
+    return factor[np.triu_indices(width)] if len(factor) == width else factor.ravel()
 
 
 def _stored_moments(part: CoordinateMoments, layout: RowLayout) -> FloatArray:
@@ -175,10 +183,10 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
     """
     content = read_arrays(path, ARCHIVE)
     try:
-        if int(content["format"]) not in (DENSE_FORMAT, FORMAT):
+        if not DENSE_FORMAT <= int(content["format"]) <= FORMAT:
             raise EstimateError(
                 f"{path}: written in format {int(content['format'])}, this version reads "
-                f"{DENSE_FORMAT} and {FORMAT}; identify the log again",
+                f"{DENSE_FORMAT} to {FORMAT}; identify the log again",
                 "E411",
             )
         if 64 * sum(one.size for name, one in content.items() if NUMBERS in name) > MAX_BYTES:
@@ -350,12 +358,23 @@ def _group_shapes(
 def _information(
     layout: RowLayout, content: dict[str, np.ndarray], kind: str, key: str
 ) -> Information:
-    width = layout.width
-    triangle = _numbers(content, f"{kind}_{key}", (width * (width + 1) // 2,), least=-LARGEST_ENTRY)
+    width, is_rows = layout.width, kind == "rows"
+    heights = content.get(f"heights_{key}", np.full(2, width))  # earlier versions wrote triangles
+    _require(
+        heights.shape == (2,) and heights.dtype.kind == "i" and np.all(heights >= 0),
+        f"heights_{key} must be two integers that are not negative",
+    )
+    height = min(int(heights[0 if is_rows else 1]), width)
+    is_triangle = height == width
+    size = width * (width + 1) // 2 if is_triangle else height * width
+    values = _numbers(content, f"{kind}_{key}", (size,), least=-LARGEST_ENTRY)
+    if is_triangle:
+        factor = np.zeros((width, width), order="F")
+        factor[np.triu_indices(width)] = values
+    else:
+        factor = values.reshape(height, width)
     rows, noise = _numbers(content, f"samples_{key}", (2,))
-    factor = np.zeros((width, width), order="F")
-    factor[np.triu_indices(width)] = triangle
-    return Information(layout, factor, float(rows if kind == "rows" else noise))
+    return Information(layout, factor, float(rows if is_rows else noise))
 
 
 def _numbers(

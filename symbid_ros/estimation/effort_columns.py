@@ -12,7 +12,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.group_moments import CoordinateMoments, GroupMoments
-from symbid_ros.estimation.information import Information, stacked_factor
+from symbid_ros.estimation.information import Information, compressed
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import RowLayout
 
@@ -105,7 +105,7 @@ def _combined(
             of.factor[:, place] @ one
             for place, one in zip(of.layout.slices, combinations, strict=True)
         ]
-        return Information(layout, stacked_factor(np.concatenate(parts, axis=1)), of.samples)
+        return Information(layout, compressed(np.concatenate(parts, axis=1)), of.samples)
 
     return replace(
         rows,

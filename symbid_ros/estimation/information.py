@@ -1,7 +1,8 @@
 """Information of the data about the parameters, in one triangular factor.
 
-QR updates fold in rows as they arrive, and rows are not stored. The factor of *flat* sample rows
-is enough, without a second pass over the data, for:
+QR updates fold in rows as they arrive. As long as these are fewer than columns, they are kept as
+they are: the factor of a humanoid has thousands of columns, and that of a short log would be
+mostly zeros. The factor of *flat* sample rows is enough, without a second pass over the data, for:
 
 - the least-squares problem with any covariance of the residuals across coordinates, any column
   scaling, prior or truncation,
@@ -16,7 +17,7 @@ import numpy as np
 from scipy.linalg import blas, qr
 from scipy.sparse import csr_array
 
-from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.qr_update import fold_rows
@@ -36,8 +37,8 @@ class Information:
     ----------
     layout : RowLayout
         Layout of the flat rows.
-    factor : (w, w) float64
-        Upper triangular R with RᵀR = Σ rowᵀ row.
+    factor : (r, w) float64
+        R with RᵀR = Σ rowᵀ row: upper triangular if r = w, otherwise fewer rows of any kind.
     samples : float
         Number of samples folded in; the effective number if old ones are discounted.
     """
@@ -49,7 +50,7 @@ class Information:
     @classmethod
     def empty(cls, layout: RowLayout) -> "Information":
         """Return the information of no data."""
-        return cls(layout, np.zeros((layout.width, layout.width), order="F"), 0)
+        return cls(layout, np.zeros((0, layout.width)), 0)
 
     def fold(self, blocks: Iterable[Rows]) -> "Information":
         """Return the information with more rows.
@@ -77,8 +78,7 @@ class Information:
         """
         if not np.isfinite(flat.sum()):
             raise DataError("a sample of the equation of motion is not finite; mask it", "E413")
-        factor = _updated(self.factor.copy(order="F"), flat)
-        return Information(self.layout, factor, self.samples + len(flat))
+        return Information(self.layout, _updated(self.factor, flat), self.samples + len(flat))
 
     def discounted(self, share: float) -> "Information":
         """Return the information with every row's weight times ``share``, from 0 to 1."""
@@ -99,7 +99,7 @@ class Information:
             other.layout.parameters,
         ) or not np.array_equal(self.layout.structure, other.layout.structure):
             raise DataError(f"{INCOMPATIBLE}; use one model and the same terms", "E412")
-        factor = _updated(self.factor.copy(order="F"), other.factor)
+        factor = _updated(self.factor, other.factor)
         return Information(self.layout, factor, self.samples + other.samples)
 
     def restricted(self, parameters: tuple[str, ...]) -> "Information":
@@ -156,43 +156,26 @@ class Information:
         half: FloatArray = (self._products @ precision.ravel()).reshape(width, width)
         return half + half.T
 
-    @cached_property
-    def _is_filled(self) -> BoolArray:
-        """(w,) rows of the factor that are not zero; few samples fill few rows of a wide factor.
-
-        At least one row is kept, because BLAS refuses matrices without rows.
-        """
-        size = np.abs(self.factor).max(axis=1, initial=0.0)
-        filled = size > 1e-15 * size.max(initial=0.0)
-        filled[:1] |= not filled.any()
-        return np.asarray(filled)
-
-    @cached_property
-    def _filled(self) -> FloatArray:
-        """The factor without its zero rows."""
-        if self._is_filled.all():
-            return self.factor
-        return np.asfortranarray(self.factor[self._is_filled])
+    def _columns(self, place: slice) -> FloatArray:
+        """Return the factor's columns of one coordinate, without the zeros below a triangle."""
+        is_triangle = len(self.factor) == self.layout.width
+        return self.factor[: place.stop if is_triangle else None, place]
 
     @cached_property
     def _parts(self) -> tuple[FloatArray, ...]:
-        """Each coordinate's slice of the factor, transposed, without its zero rows."""
-        return tuple(
-            np.ascontiguousarray(self.factor[: place.stop, place][self._is_filled[: place.stop]].T)
-            for place in self.layout.slices
-        )
+        """Each coordinate's columns of the factor, transposed."""
+        return tuple(np.ascontiguousarray(self._columns(place).T) for place in self.layout.slices)
 
     @cached_property
     def _coordinate_factors(self) -> tuple[FloatArray, ...]:
-        # Below row `place.stop` these columns of a triangle are zero.
-        return tuple(_triangle(self.factor[: place.stop, place]) for place in self.layout.slices)
+        return tuple(_triangle(self._columns(place)) for place in self.layout.slices)
 
     @cached_property
     def _products(self) -> csr_array:
         """((p+1)(p+1), n n) half the moments of [K y], by pairs of coordinates."""
         # BLAS refuses a matrix without rows.
-        filled = self._filled if len(self._filled) else np.zeros((1, self.layout.width))
-        gram = blas.dsyrk(1.0, filled, trans=True)
+        factor = self.factor if len(self.factor) else np.zeros((1, self.layout.width))
+        gram = blas.dsyrk(1.0, factor, trans=True)
         gram[np.diag_indices(len(gram))] /= 2
         return self.layout.moments_by_pair(gram)
 
@@ -206,7 +189,7 @@ class Information:
         """Return Σ e eᵀ (n, n) over all samples, e = y - K φ, for φ (p,)."""
         residual = np.column_stack(
             [
-                self._filled[:, place] @ np.append(-phi[columns], 1.0)
+                self.factor[:, place] @ np.append(-phi[columns], 1.0)
                 for columns, place in zip(self.layout.columns, self.layout.slices, strict=True)
             ]
         )
@@ -248,11 +231,11 @@ class _Restriction(Information):
 
     @cached_property
     def factor(self) -> FloatArray:
-        """Upper triangular R (w, w) with RᵀR = Σ rowᵀ row."""
+        """R (r, w) with RᵀR = Σ rowᵀ row."""
         is_kept = np.zeros(len(self._whole.layout.parameters), dtype=bool)
         is_kept[self._kept] = True
         used = [np.append(is_kept[columns], True) for columns in self._whole.layout.columns]
-        return _triangle(self._whole.factor[:, np.concatenate(used)])
+        return compressed(self._whole.factor[:, np.concatenate(used)])
 
     def discounted(self, share: float) -> Information:
         """Return the information with every row's weight times ``share``, from 0 to 1."""
@@ -297,10 +280,19 @@ class _Restriction(Information):
 
 
 def _updated(factor: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the triangular factor, which is overwritten, with rows folded in."""
+    """Return the factor with rows folded in."""
+    width = factor.shape[1]
+    if len(factor) < width:
+        return compressed(np.concatenate([factor, rows]))
     # LAPACK overwrites its input, and the rows may be another information's factor.
-    fold_rows(factor, np.array(rows, order="F"))
-    return factor
+    updated = factor.copy(order="F")
+    fold_rows(updated, np.array(rows, order="F"))
+    return updated
+
+
+def compressed(rows: FloatArray) -> FloatArray:
+    """Return at most w rows with the same moments as rows (N, w), triangular if there are w."""
+    return rows if len(rows) < rows.shape[1] else _triangle(rows)
 
 
 def stacked_factor(*blocks: FloatArray) -> FloatArray:

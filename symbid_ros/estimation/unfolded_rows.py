@@ -51,7 +51,7 @@ class UnfoldedRows(Information):
 
     @cached_property
     def factor(self) -> FloatArray:
-        """Upper triangular R (w, w) with RᵀR = Σ rowᵀ row."""
+        """R (r, w) with RᵀR = Σ rowᵀ row."""
         return self._complete.factor
 
     def fold_flat(self, flat: FloatArray) -> Information:

@@ -1,6 +1,7 @@
 """Observations: residual covariance, merging, and whiteness of residuals."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import eigh
 
+from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.observations import CHANCE, definite, whiteness
@@ -283,6 +285,42 @@ def test_few_rows_in_a_wide_factor_are_all_used():
     R = sparse.whitened(G)
     expected = sparse.whitened_moment(G.T @ G)
     np.testing.assert_allclose(R.T @ R, expected, atol=1e-9 * np.abs(expected).max())
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 70), min_size=1, max_size=6))
+def test_few_rows_are_kept_as_they_are_and_many_in_a_triangle(seed, counts):
+    """Rows in batches of any size give the moments of all of them, before and after width w."""
+    log = gaussian_log(seed, count=sum(counts), links=2)
+    rows, layout = log.rows().mean, log.layout
+    found, first = Information.empty(layout), 0
+    for count in counts:
+        found = found.fold([log[first : first + count].rows().mean])
+        first += count
+    assert len(found.factor) == min(first, layout.width)
+    flat = layout.flatten([rows])
+    gram = flat.T @ flat
+    close = partial(np.testing.assert_allclose, rtol=0, atol=1e-11 * gram.max())
+    close(found.factor.T @ found.factor, gram)
+    dense = np.concatenate([rows.K, rows.y[..., None]], axis=2)
+    whitening = noise_root(np.random.default_rng(seed), len(layout.coordinates))
+    whitened = (whitening @ dense).reshape(-1, dense.shape[2])
+    scale = np.abs(whitened.T @ whitened).max()
+    for moment in (
+        found.whitened_moment(whitening.T @ whitening),
+        (R := found.whitened(whitening)).T @ R,
+    ):
+        np.testing.assert_allclose(moment, whitened.T @ whitened, rtol=0, atol=1e-11 * scale)
+    for coordinate, columns in enumerate(layout.columns):
+        own = dense[:, coordinate, np.append(columns, -1)]
+        factor = found.coordinate_factor(coordinate)
+        close(factor.T @ factor, own.T @ own)
+    few = layout.parameters[::2]
+    some = found.restricted(few)
+    part = some.layout.flatten([Rows(rows.K[..., ::2], rows.y)])
+    close(some.factor.T @ some.factor, part.T @ part)
+    merged = found.merge(found.discounted(0.25))
+    close(merged.factor.T @ merged.factor, 1.25 * gram)
 
 
 def test_no_rows_have_no_moment(capfd):
