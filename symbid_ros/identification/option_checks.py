@@ -110,6 +110,12 @@ def _check_contacts(options: "IdentifyOptions") -> None:
             f"`contact` leaves {', '.join(unknowable)} unknown; leave it out of `sensor_errors`",
             "E503",
         )
+    if options.drive_gains:
+        raise OptionError(
+            "`drive_gain` needs the wrenches of contacts, which `contact` eliminates; give "
+            "`effort_scale` instead",
+            "E503",
+        )
     if options.tare:
         raise OptionError("`tare` is of foot sensors; leave it or `contact` out", "E503")
     if options.has_unplaced_payload:

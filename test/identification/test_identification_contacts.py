@@ -337,6 +337,7 @@ def test_wrenches_alone_identify_a_robot_whose_drives_measure_nothing(robot, tru
         ({"contact": ("foot:heel",)}, "not a contact"),
         ({"contact": ("foot",), "joint_terms": ("load",)}, "name other terms"),
         ({"contact": ("foot",), "sensor_errors": ("link_length",)}, "leaves link_length unknown"),
+        ({"contact": ("foot",), "drive_gain": ("all",)}, "`drive_gain` needs the wrenches"),
         ({"contact": ("foot",), "tare": ("bag",)}, "`tare` is of foot sensors"),
     ],
 )
