@@ -409,7 +409,9 @@ def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float
     if len(used) == 0:
         return 1.0
     some = np.ix_(used, used)
-    kept = float(eigh(after[some], definite(before[some]), eigvals_only=True)[-1])
-    independent = float(long.counts.diagonal()[used].min()) / long.inflation
-    chance = (1 + float(np.sqrt(len(used) / independent))) ** 2
-    return kept * long.window / short.window / chance
+    # A coordinate with few rows may keep more by chance. Its residual alone is divided by that.
+    independent = long.counts.diagonal()[used] / long.inflation
+    chance = 1 + np.sqrt(len(used) / independent)
+    after = after[some] / np.outer(chance, chance)
+    kept = float(eigh(after, definite(before[some]), eigvals_only=True)[-1])
+    return kept * long.window / short.window

@@ -284,12 +284,29 @@ def test_flags_that_let_a_standing_robot_fly_are_refused(robot, readings):
     assert caught.value.code == "E368"
 
 
-def test_efforts_that_do_not_carry_the_robot_raise_an_alarm(robot, readings):
-    """Those that carry it raise none, see above."""
-    weak = log_of(robot, readings, effort=0.2 * readings["/joint_states"]["effort"])
-    options = {"window": 0.321, "no_holdout": True, "joint_terms": "none"}
-    found = identify(robot, weak, contact=POINTS, **options)
-    assert any("total mass went from" in alarm for alarm in found.alarms)
+@pytest.mark.parametrize("factor", [0.2, 1.5])
+def test_a_common_factor_of_all_efforts_raises_an_alarm(robot, true_robot, readings, factor):
+    """Right efforts raise none, see above, and residuals show no common factor."""
+    wrong = log_of(robot, readings, effort=factor * readings["/joint_states"]["effort"])
+    options = {"contact": POINTS, "window": 0.321, "no_holdout": True, "joint_terms": "none"}
+    (alarm,) = identify(robot, wrong, **options).alarms
+    assert "total mass went from" in alarm
+    assert "a wrong scale in common" in alarm
+    # A weighing shows it.
+    mass = float(true_robot.phi[:, 0].sum())
+    alarms = identify(robot, wrong, total_mass=mass, total_mass_std=0.05, **options).alarms
+    assert any("the weighing of" in one for one in alarms)
+    assert not any("total mass went from" in one for one in alarms)
+
+
+def test_a_flag_that_is_stuck_is_named(robot, steps):
+    options = {"contact": POINTS, "joint_terms": ("none",), "no_holdout": True}
+    touches = {foot: steps[f"/{foot}/contact"]["touches"] for foot in FEET}
+    stuck = touches | {FEET[1]: np.zeros_like(touches[FEET[1]])}
+    found = identify(robot, log_of(robot, steps, touches=stuck), **options)
+    assert found.estimate.verdict.is_coloured
+    assert f"according to the flags, {FEET[1]} hardly touches anything" in found.alarms[-1]
+    assert identify(robot, log_of(robot, steps, touches=touches), **options).alarms == ()
 
 
 def test_readings_at_a_contact_that_is_named_are_left_out(robot, readings):
