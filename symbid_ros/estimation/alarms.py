@@ -41,6 +41,7 @@ class Alarm(StrEnum):
     SOLES = "the poses of resting soles vary"
     LACKING_JOINTS = "the log lacks"
     READINGS = "as the efforts show"
+    MISSING_INERTIA = "show gravity but no inertia"
     UNPREDICTED_EFFORT = "is predicted, although the joint moves"
     UNPREDICTED_END = "the log does not predict its own end"
     WRONG_FACTORS = "the efforts have wrong factors"

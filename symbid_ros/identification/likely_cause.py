@@ -43,6 +43,9 @@ WRONG_WEIGHING = (
     "that first"
 )
 FROZEN = "a joint at rest that another alarm names may explain it; check that first"
+MISSING_INERTIA = (
+    "the efforts without inertia that another alarm names may explain it; settle that first"
+)
 DELAY_ALARM = "the delay that another alarm names"
 WRONG_READINGS = (
     "the wrong readings of joints that another alarm names may explain it; correct these first"
