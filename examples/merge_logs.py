@@ -21,7 +21,7 @@ def main(model: str, *bags: str) -> None:
         determined = sum(one.is_determined for one in result.parameters.values())
         print(
             f"{len(information)} logs: {mass:.3f} kg, {determined} of {len(result.parameters)} "
-            "parameters determined"
+            "single parameters determined"
         )
     information[-1].save("information.npz")  # for `symbid identify --information`
 

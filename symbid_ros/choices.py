@@ -14,9 +14,9 @@ Scenario = Literal[
     "smooth", "wide", "squat", "vibrating", "one_leg", "stepping", "suspended", "tare"
 ]
 SensorErrorKind = Literal[
-    "plate_offset",
-    "plate_gain",
-    "plate_pose",
+    "wrench_offset",
+    "wrench_gain",
+    "wrench_position",
     "torque_gain",
     "imu_mounting",
     "imu_bias",

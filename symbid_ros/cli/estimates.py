@@ -91,8 +91,8 @@ def identify(
 
     All identified links are physically possible, and each number has a standard deviation.
 
-    The log is checked first, as by `symbid bag doctor`. The output lists alarms first, and what the
-    data determined last.
+    The log is checked first, as by `symbid bag doctor`. The output lists alarms first, and ends
+    with what the data determined.
 
     Exit status: 0 written, 1 written with alarms (do not trust the numbers yet), 2 nothing written.
     """

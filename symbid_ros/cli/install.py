@@ -134,7 +134,7 @@ def print_change(found: "RobotChange") -> None:
         _add_rows(table, (f"{term.name} {unit}",), change)
     console.print(table)
     console.print(
-        "I1, I2, I3: principal moments about the centre of mass; *: changed by more than 2 ±",
+        "I1, I2, I3: principal moments about the centre of mass; *: changed by more than twice ±",
         soft_wrap=True,
     )
 

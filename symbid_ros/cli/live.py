@@ -61,8 +61,8 @@ def live(
         typer.Option(
             min=0.0,
             metavar="<s>",
-            help="Seconds in which the weight of data falls to 1/e, so that the estimate follows "
-            "changes; 0: data are never forgotten.",
+            help="Time constant of forgetting: older data lose weight, so that the estimate "
+            "follows changes; 0: data are never forgotten.",
         ),
     ] = 0.0,
     namespace: Annotated[

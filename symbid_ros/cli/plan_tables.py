@@ -31,8 +31,8 @@ def print_plan(plan: ExcitationPlan, out: Path) -> None:
         f"{design.seconds:g} s, {counted(design.seconds / design.series.period, 'period')} of "
         f"{design.series.period:g} s, after {plan.approach:g} s from "
         f"{'the stance' if plan.contact_usage else 'any posture'} to the start",
-        f"{int(plan.determined.sum())} of {len(plan.std)} parameters expected to be determined, "
-        f"{plan.gain:.0f} bits to gain",
+        f"{plan.describe_determined()} expected to be determined",
+        f"{plan.gain:.0f} bits of information to gain",
         *(f"assumed: {each}" for each in plan.problem.limits.assumed),
         *filter(None, [contacts_used(plan), closest_links(plan)]),
         *(f"not checked: {spelled(each, flag)}" for each in plan.problem.unchecked),

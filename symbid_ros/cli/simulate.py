@@ -62,7 +62,7 @@ def simulate(
     Without, the Symbitron carries out a scenario.
 
     [b]Scenarios[/b]: in [b]smooth[/b] and [b]vibrating[/b] the robot stands and moves its centre
-    of mass. In [b]wide[/b] it moves as far as a robot with a good model of itself stands. In
+    of mass. In [b]wide[/b] it moves as far as it can without falling if its model is good. In
     [b]squat[/b] it moves mostly up and down. In [b]one_leg[/b] it stands on each leg
     in turn while the other foot makes --moves moves in the air, 1.3 s each. In [b]stepping[/b] it
     makes --moves steps, forward and back, 2 s each. In [b]suspended[/b] it hangs from an overhead
@@ -70,8 +70,8 @@ def simulate(
     carry no load; --moves and --motion-seed have no effect.
 
     [b]Systematic errors[/b]: each one depends only on its name and --error-seed.
-    [b]typical[/b] stands for [b]plate_gain[/b] 0.25-0.75 % per channel, [b]plate_offset[/b] 1-2 N
-    and 0.1-0.2 Nm per channel, [b]plate_pose[/b] 1-3 mm, [b]torque_gain[/b] 1-2 % per drive,
+    [b]typical[/b] stands for [b]wrench_gain[/b] 0.25-0.75 % per channel, [b]wrench_offset[/b] 1-2 N
+    and 0.1-0.2 Nm per channel, [b]wrench_position[/b] 1-3 mm, [b]torque_gain[/b] 1-2 % per drive,
     [b]imu_mounting[/b] 0.1-0.3 degrees and [b]encoder_offset[/b] 0.05-0.15 degrees per joint.
     Others: [b]link_length[/b] 1-2 mm between joints, [b]sample_rates[/b] 1000 Hz for joints, 500 Hz
     for the IMU and 333 Hz for plates, [b]delays[/b] 1-5 ms, different for each sensor,
@@ -231,7 +231,7 @@ def udp_client(
         typer.Option(
             help="File to which a running identifier writes its estimates (its parameter "
             "live_model). They replace the model's inertias when they can be trusted; moves begin "
-            "small and widen as the deviations of mass and centre of mass shrink."
+            "small and grow as the standard deviations of mass and centre of mass decrease."
         ),
     ] = None,
     largest_change: Annotated[

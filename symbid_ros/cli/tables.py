@@ -298,8 +298,8 @@ def _lines(estimate: Estimate) -> list[RenderableType]:
 
 def _verdict_lines(estimate: Estimate, verdict: Verdict) -> list[RenderableType]:
     lines: list[RenderableType] = [
-        f"{len(verdict.directions)} of {estimate.identified} directions determined, "
-        f"{verdict.gain:.0f} bits gained"
+        f"{estimate.describe_determined()} determined",
+        f"{verdict.gain:.0f} bits of information gained",
     ]
     if verdict.sensors:
         known = sum(error.determined for error in verdict.sensors)
@@ -371,18 +371,18 @@ def print_validation(found: Validation) -> None:
     print_table(console, "", ERRORS, rows)
     _print_legend(console, [*found.coordinates, *found.groups])
     if found.slow is not None:
-        console.print(f"slow stretches: {found.slow_seconds:.1f} s, loaded by gravity alone")
+        console.print(f"slow stretches: {found.slow_seconds:.1f} s, in which gravity dominates")
     if (mass := found.mass) is not None:
         console.print(
             f"total mass: {mass.before:.2f} kg → {mass.after:.2f} kg, while the forces show "
-            f"{with_std(mass.measured, mass.std or 0.0)} kg, apart from a gain that they have in "
-            "common",
+            f"{with_std(mass.measured, mass.std or 0.0)} kg, if the sensors have no common gain "
+            "error",
             soft_wrap=True,
         )
     if found.coverage is not None and found.normalized_square is not None:
         console.print(
-            f"intervals: {100 * found.coverage:.0f} % of the errors lie in their 90 % interval, "
-            f"normalised square {found.normalized_square:.2f}",
+            f"intervals: {100 * found.coverage:.0f} % of the errors lie in their 90 % interval; "
+            f"mean of (error / std)²: {found.normalized_square:.2f}, ideally 1",
             soft_wrap=True,
         )
     style = "bold red" if not found.is_better else "green" if found.is_covered else "yellow"
@@ -394,8 +394,8 @@ def _print_legend(console: Console, errors: Sequence[ForceError]) -> None:
     if any(one.coverage is None for one in errors):
         console.print(
             Text(
-                "in 90 %: – if the deviation of the errors is unknown, as of methods without a "
-                "covariance, or if the compared results have windows of different lengths"
+                "in 90 %: – if the standard deviation of the errors is unknown, as with methods "
+                "without a covariance, or if the compared results have windows of different lengths"
             ),
             soft_wrap=True,
         )

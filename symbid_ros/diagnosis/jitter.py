@@ -184,8 +184,8 @@ class JitterCheck:
                 Finding.of(
                     self.topic,
                     Kind.STAMP,
-                    f"the samples are uniform in time, their stamps are not: these are corrected, "
-                    f"by {jitter:.2g} ms (rms); stamp messages when they are sampled",
+                    f"the samples are uniform in time, but their stamps are not, and are "
+                    f"corrected by {jitter:.2g} ms (rms); stamp messages when they are sampled",
                     {"jitter_ms": jitter},
                     Severity.WARNING,
                 )

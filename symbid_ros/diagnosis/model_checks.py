@@ -414,8 +414,8 @@ def _check_excitation(
                 Kind.EXCITATION,
                 "",
                 Severity.WARNING,
-                f"the log tells {found.determined} combinations of the links' inertias better than "
-                f"±25 %, of which {found.at_rest} would show in a log at rest as well; move all "
+                f"the log determines {found.determined} combinations of the links' inertias to "
+                f"better than ±25 %, and a log at rest would determine {found.at_rest}; move all "
                 f"joints further and faster{', and turn the base' if floating else ''}",
                 {"determined": found.determined, "at_rest": found.at_rest},
             )

@@ -150,7 +150,8 @@ class TimingCheck:
                     self.topic,
                     Severity.WARNING,
                     f"{self.topic}: begins {late:.3g} s after and ends {early:.3g} s before the "
-                    "other topics, whose data outside it are not used; start and stop all together",
+                    "other topics; only the time that all topics have in common is used; start and "
+                    "stop all together",
                     {"late_s": late, "early_s": early},
                 )
             )

@@ -66,7 +66,7 @@ class UnloadedReading:
             Kind.WRENCH_OFFSET,
             f"reads {np.linalg.norm(force):.2g} N and {np.linalg.norm(moment):.2g} Nm while the "
             f"foot is in the air ({self.seconds:.1f} s); tare the sensor, or give "
-            "`sensor_errors` plate_offset",
+            "`sensor_errors` wrench_offset",
             figures | {"unloaded_s": self.seconds},
             Severity.WARNING,
         )

@@ -6,7 +6,7 @@ from enum import StrEnum
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.estimation.directions import determines_any
+from symbid_ros.estimation.directions import count_determined
 from symbid_ros.estimation.mass_scale import weighing_residual
 from symbid_ros.estimation.posterior import Posterior, PseudoMeasurements
 from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
@@ -34,16 +34,16 @@ class Alarm(StrEnum):
     WIDENED_PRIOR = "the data widened the prior"
     PRIOR = "the data contradict the prior"
     COLOURED = "the residuals are not white noise"
-    NOISY_MOTION = "of the information about one direction is noise"
+    NOISY_MOTION = "of the information about one parameter combination is noise"
     WEIGHING = "contradicts the data, which say"
-    LIMITS = "the data contradict links that are physically possible"
+    LIMITS = "physically possible links and drives do not explain the data"
     TOTAL_MASS = "the total mass went from"
     SOLES = "the poses of resting soles vary"
     LACKING_JOINTS = "the log lacks"
-    READINGS = "as the efforts show"
+    READINGS = "the efforts contradict the readings of joints"
     MISSING_INERTIA = "show gravity but no inertia"
-    UNPREDICTED_EFFORT = "is predicted, although the joint moves"
-    UNPREDICTED_END = "the log does not predict its own end"
+    UNPREDICTED_EFFORT = "the model does not predict the effort of"
+    UNPREDICTED_END = "the first part of the log does not predict the last quarter"
     WRONG_FACTORS = "the efforts have wrong factors"
     UNCERTAIN_FACTORS = "physically possible links explain the efforts only with factors"
     WRIST_SENSOR = "times what the efforts of the joints imply"
@@ -93,19 +93,19 @@ def alarms(
         Names and units of the sensor errors.
     """
     found = []
-    if not determines_any(
+    if not count_determined(
         posterior.prior_factor[:parameters], posterior.deviation_factor[:parameters]
     ):
         found.append(
             f"{Alarm.NOTHING}, and all numbers are those of the prior: record more motion, or name "
-            "fewer joint terms, as Coulomb friction needs windows in which each joint slips"
+            "fewer `joint_terms`, as Coulomb friction needs windows in which each joint moves"
         )
     if posterior.chosen_scale > SUSPICIOUS_MODEL_SCALE:
         found.append(
-            f"{Alarm.WIDENED_PRIOR} of the inertias {posterior.chosen_scale:.1f} times, from "
-            f"±25 % to ±{25 * posterior.chosen_scale:.0f} % of the model's values: the model lacks "
-            "a tool or payload, or its inertias, its kinematics, a sensor's gain or calibration is "
-            "wrong"
+            f"{Alarm.WIDENED_PRIOR} of the inertias by a factor of {posterior.chosen_scale:.1f}, "
+            f"from ±25 % to ±{25 * posterior.chosen_scale:.0f} % of the model's values: the model "
+            "lacks a tool or payload, or its inertias, its kinematics or the calibration of a "
+            "sensor are wrong"
         )
     if posterior.prior_scale > SUSPICIOUS_SCALE:
         found.append(
@@ -124,7 +124,7 @@ def alarms(
         found.append(coloured_alarm(whiteness, unexplained))
     if posterior.noise_share > SUSPICIOUS_NOISE:
         found.append(
-            f"{100 * posterior.noise_share:.0f} % {Alarm.NOISY_MOTION} in the motion: "
+            f"{100 * posterior.noise_share:.0f} % {Alarm.NOISY_MOTION} of the motion sensors: "
             "move more, or use longer windows"
         )
     found += _contradicted_limits(posterior, value, rows)
@@ -141,9 +141,8 @@ def _contradicted_limits(posterior: Posterior, value: FloatArray, rows: float) -
     if growth < SUSPICIOUS_GROWTH:
         return ()
     return (
-        f"{Alarm.LIMITS} and drives that take power: with "
-        f"these the residuals are {growth:.1f} times as large as without; signs, units or zeros of "
-        "joints, or the kinematics are wrong",
+        f"{Alarm.LIMITS}: with these constraints the residuals are {growth:.1f} times as large "
+        "as without; signs, units or zeros of joints, or the kinematics, are wrong",
     )
 
 
@@ -161,15 +160,16 @@ def _large_offsets(
     deviations = (value - posterior.prior.mean) / posterior.prior.std
     found = [
         f"{name.rpartition('/')[0]} ({value[index]:.3g} {unit}, {abs(deviations[index]):.0f} times "
-        "what is assumed)"
+        "the assumed standard deviation)"
         for index, (name, unit) in enumerate(zip(*sensors, strict=True), first)
         if name.endswith("/encoder_offset") and abs(deviations[index]) > SUSPICIOUS_ZERO
     ]
     if not found:
         return ()
     return (
-        f"{Alarm.LARGE_OFFSETS}: {', '.join(found)}; the true ones are probably larger, and first "
-        "moments of links take the rest: correct the joints' zeros in the driver",
+        f"{Alarm.LARGE_OFFSETS}: {', '.join(found)}; the true ones are probably larger, and "
+        "the first moments of links are then wrong: correct the zeros of these joints in the "
+        "driver",
     )
 
 
@@ -192,7 +192,7 @@ def coloured_alarm(
     cause = cause or (
         "the sign, unit or zero of a sensor is wrong; check a bag with `symbid bag doctor`"
         if is_gross
-        else "the model lacks an effect or a sensor's calibration is wrong; identify a bag to have "
-        "likely causes tried"
+        else "the model lacks an effect or a sensor's calibration is wrong; record a bag, for "
+        "which `symbid identify` names the likely cause"
     )
     return f"{size}{Alarm.COLOURED} (whiteness {whiteness:.1f}); {cause}"

@@ -206,14 +206,12 @@ def mirror_rows(
         When the ratio is not positive or the robot has no such pair.
     """
     if not 0 < ratio < np.inf:
-        raise EstimateError(
-            f"left/right tying of {ratio:g} prior deviations; give a positive number", "E414"
-        )
+        raise EstimateError(f"`mirror` {ratio:g} is not valid; give a positive number", "E414")
     pairs = mirror_pairs(parameters) if pairs is None else pairs
     if not pairs:
         raise EstimateError(
             f"{parameters.model.source}: no two links are named left and right and mirror images "
-            "about the base's x-z plane; leave left/right tying out",
+            "about the base's x-z plane; leave `mirror` out",
             "E415",
         )
     rows = np.zeros((len(pairs), 10, len(parameters)))

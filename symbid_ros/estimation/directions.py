@@ -85,12 +85,21 @@ class DeterminedDirections:
         return " ".join(f"{loading[k]:+.2f} {self.names[k]}" for k in largest[worth])
 
 
-def determines_any(prior_factor: FloatArray, posterior_factor: FloatArray) -> bool:
-    """Return whether the data determine any direction, from factors with p rows."""
+def count_determined(prior_factor: FloatArray, posterior_factor: FloatArray) -> int:
+    """Return the number of directions that the data determine, from factors with p rows."""
     prior, after = square_factor(prior_factor), square_factor(posterior_factor)
     std = np.linalg.norm(prior, axis=1)[:, None]
-    # The smallest singular value is the smallest ratio of standard deviations.
-    return bool(np.linalg.norm(np.linalg.solve(prior / std, after / std), -2) < DETERMINED)
+    # The singular values are the ratios of standard deviations.
+    ratios = np.linalg.svd(np.linalg.solve(prior / std, after / std), compute_uv=False)
+    return int(np.sum(ratios < DETERMINED))
+
+
+def describe_determined(combinations: int | None, single: int, count: int) -> str:
+    """Return how many of ``count`` parameters are determined, together and alone."""
+    alone = f"{single} of {count} single parameters"
+    if combinations is None:
+        return alone
+    return f"{combinations} of {count} parameter combinations, {alone}"
 
 
 def square_factor(factor: FloatArray) -> FloatArray:

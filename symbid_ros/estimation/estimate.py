@@ -7,6 +7,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import TERMS, Channels, Filter
 from symbid_ros.estimation.alarms import Alarm
+from symbid_ros.estimation.directions import describe_determined
 from symbid_ros.estimation.provenance import Provenance
 from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.model.inertia import com_from_phi
@@ -241,6 +242,12 @@ class Estimate:
     def identified(self) -> int:
         """Number of parameters that were identified: all that are not fixed."""
         return len(self.names) - len(self.fixed)
+
+    def describe_determined(self) -> str:
+        """Return how many parameter combinations and single parameters the data determine."""
+        combinations = None if self.verdict is None else len(self.verdict.directions)
+        single = 0 if self.determined is None else int(np.sum(self.determined))
+        return describe_determined(combinations, single, self.identified)
 
     def describe_terms(self) -> str:
         """Return the chosen joint terms as one line; empty if the user named the terms."""

@@ -159,7 +159,7 @@ class ModelGate:
         if any(against):
             return f"alarm: {next(filter(None, against))}"
         if not (np.isfinite(candidate.phi).all() and np.isfinite(candidate.std).all()):
-            return "parameters or deviations are missing"
+            return "parameters or standard deviations are missing"
         impossible = [
             link
             for link, phi in zip(candidate.links, candidate.phi, strict=True)

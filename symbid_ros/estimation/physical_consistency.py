@@ -322,7 +322,7 @@ def consistent_minimum(
         )
     raise EstimateError(
         f"the physically consistent minimum was not found to {ACCURACY:g} standard deviations "
-        f"(solver: {', '.join(dict.fromkeys(statuses))}); correct the prior deviation that is out "
+        f"(solver: {', '.join(dict.fromkeys(statuses))}); correct the prior std that is out "
         "of proportion to the others",
         "E417",
     )

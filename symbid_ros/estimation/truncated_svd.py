@@ -326,8 +326,8 @@ class SensorNoise:
         """Reject a deviation that would give a row infinite weight."""
         if not all(each > 0 for each in (self.effort, self.force, self.moment)):
             raise EstimateError(
-                f"sensor deviations {self.effort}, {self.force}, {self.moment} must all be "
-                "positive; correct `sensor_std`",
+                f"standard deviations {self.effort}, {self.force}, {self.moment} of sensors must "
+                "all be positive; correct `sensor_std`",
                 "E422",
             )
 
@@ -352,7 +352,7 @@ def sensor_row_std(model: RobotModel, samples: Samples, sensors: SensorNoise) ->
             variance += np.mean(generalised_force(model, unit, poses, axes) ** 2, axis=0)
     if np.any(variance == 0):
         raise EstimateError(
-            "the base has no wrench sensor, so sensor deviations cannot weight its rows; weight "
+            "the base has no wrench sensor, so `sensor_std` cannot weight its rows; weight "
             "them by residuals",
             "E422",
         )

@@ -117,10 +117,12 @@ class Verdict:
         )
         start = next(one for one in self.sensors if one.name == error)
         change = self.sensors[place]
+        count = len(changes)
+        which = "1 sensor error drifts" if count == 1 else f"{count} sensor errors drift"
         return (
-            f"{len(changes)} sensor errors drift, {error} most clearly: {start.value:.3g} ± "
-            f"{start.std:.2g} {start.unit} at the start, {change.value:+.3g} ± {change.std:.2g} "
-            f"{change.unit} until the end"
+            f"{which}, most clearly {error}: {start.value:.3g} ± {start.std:.2g} {start.unit} at "
+            f"the start, a change of {change.value:+.3g} ± {change.std:.2g} {change.unit} by the "
+            "end"
         )
 
     def describe_drive_gains(self) -> str:
@@ -164,17 +166,17 @@ class Verdict:
         start = f"mass scale ± {100 * self.mass_scale:.2g} %, not checkable"
         if not floating:
             return (
-                f"{start} by efforts that have a gain in common: give the deviation of that gain "
-                "as `force_scale_std`"
+                f"{start} by efforts alone: give the standard deviation of their common gain "
+                "error as `force_scale_std`"
             )
         if self.weighing_std > 0:
             return (
-                f"{start} by a weighing with a deviation of {self.weighing_std:.2g} kg: weigh the "
-                "robot more accurately, and give `total_mass_std`"
+                f"{start} by a weighing with a standard deviation of {self.weighing_std:.2g} kg: "
+                "weigh the robot more accurately, and give `total_mass_std`"
             )
         return (
-            f"{start} without a weighing: give `total_mass`, or the deviation of the sensors' "
-            "common gain as `force_scale_std`"
+            f"{start} without a weighing: give `total_mass`, or the standard deviation of the "
+            "sensors' common gain error as `force_scale_std`"
         )
 
 

@@ -8,7 +8,7 @@ from symbid_ros.options import option
 
 LIMITS = "Limits"
 STANDING = "Standing robots"
-KNOWN = "What is known before"
+KNOWN = "Prior knowledge"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,8 @@ class ExciteOptions(MountingOptions):
     seed: int = option(0, "Random seed of the starts.", minimum=0)
     prior_percent: float = option(
         25.0,
-        "Half-width of the uniform prior of each link's mass moments, in percent of the model's.",
+        "How far the model's mass, first moments and inertia of each link may be wrong, ± percent "
+        "(half-width of a uniform prior).",
         unit="%",
         minimum=0.1,
         maximum=1000.0,
@@ -52,8 +53,8 @@ class ExciteOptions(MountingOptions):
     )
     information: Path | None = option(
         None,
-        "Folder of an identification, or its information.npz; the trajectory then measures what "
-        "is still uncertain.",
+        "Folder of an identification, or its information.npz; the trajectory then improves what "
+        "this left uncertain.",
         group=KNOWN,
     )
     joint_terms: tuple[str, ...] = option(
@@ -84,7 +85,7 @@ class ExciteOptions(MountingOptions):
     )
     effort_share: float = option(
         0.7,
-        "Share of each joint's effort limit to use, by the model's values.",
+        "Share of each joint's effort limit to use, computed with the model's inertias.",
         minimum=0.01,
         maximum=1.0,
         group=LIMITS,
@@ -112,16 +113,16 @@ class ExciteOptions(MountingOptions):
     )
     feet: tuple[str, ...] = option(
         (),
-        "Frames on which a robot with a floating base stands, comma-separated, as FRAME for a "
-        "flat sole, or FRAME:point. A foot that is a ball in the model is a point and rolls; "
-        "FRAME:RADIUS gives another radius, m. The base then moves, and the feet stay.",
+        "Frames on which a robot with a floating base stands, comma-separated: FRAME for a flat "
+        "sole, FRAME:point for a point. A foot that is a ball in the model rolls; FRAME:RADIUS "
+        "gives another radius, m. The base moves, and the feet stay in place.",
         unset="the base is fixed",
         group=STANDING,
     )
     contact: tuple[str, ...] = option(
         (),
-        "Those of the feet that have no wrench sensor, as in `feet`.",
-        unset="all feet have one",
+        "The feet without a wrench sensor, written as in `feet`.",
+        unset="all feet have a sensor",
         group=STANDING,
     )
     posture: tuple[str, ...] = option(
@@ -132,14 +133,14 @@ class ExciteOptions(MountingOptions):
     )
     ground_friction: float = option(
         0.4,
-        "Friction coefficient that the forces of the ground may use.",
+        "Largest ratio of tangential to normal force at the feet.",
         minimum=0.01,
         maximum=2.0,
         group=STANDING,
     )
     sole_margin: float = option(
         0.03,
-        "Distance of the centre of pressure from the edges of a sole.",
+        "Smallest distance of the centre of pressure from the edges of a sole.",
         unit="m",
         minimum=0.0,
         maximum=0.2,

@@ -46,8 +46,7 @@ def headline(plan: ExcitationPlan) -> str:
     """Return the plan's result in one sentence."""
     return (
         f"{plan.problem.design.seconds:g} s of this motion are expected to determine "
-        f"{int(plan.determined.sum())} of {len(plan.std)} parameters ({plan.gain:.0f} bits of "
-        "information)."
+        f"{plan.describe_determined()} ({plan.gain:.0f} bits of information)."
     )
 
 

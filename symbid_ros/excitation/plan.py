@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.estimation.directions import DETERMINED
+from symbid_ros.estimation.directions import DETERMINED, count_determined, describe_determined
 from symbid_ros.excitation.limits import with_stated_limits
 from symbid_ros.excitation.objective import MotionSpace
 from symbid_ros.excitation.options import STANDING, ExciteOptions
@@ -83,6 +83,11 @@ class ExcitationPlan:
     def determined(self) -> BoolArray:
         """(p,) parameters that the recording is expected to determine."""
         return np.asarray(self.std < DETERMINED * self.problem.prior_std)
+
+    def describe_determined(self) -> str:
+        """Return how many parameter combinations and single parameters will be determined."""
+        combinations = count_determined(self.problem.design.expected.factor, self.factor)
+        return describe_determined(combinations, int(np.sum(self.determined)), len(self.std))
 
     @property
     def gain(self) -> float:

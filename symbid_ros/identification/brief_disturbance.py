@@ -50,7 +50,7 @@ class BriefDisturbance:
             advice = "identify the part before or after it alone, with `stop` or `start`"
         return (
             f"likely cause: a contact or a collision from {self.start:.0f} to {self.stop:.0f} s of "
-            f"the log, without which the rest is explained; {advice}. It may be the cause of "
+            f"the log; the model explains the rest without it; {advice}. It may be the cause of "
             "other alarms as well"
         )
 

@@ -42,8 +42,8 @@ OPEN_SCALE, WIDE = 0.1, 30.0
 # of single masses cannot decide it: the smaller all masses, the smaller their differences from it.
 ASSUMED_STD = 0.01
 ASSUMED = (
-    "the log leaves the common scale of efforts, masses and friction open: it is that of the model "
-    "file's masses, and standard deviations do not include its error; "
+    "the log does not show the common scale of efforts, masses and friction: it is taken from the "
+    "model file's masses, and the standard deviations do not contain its error; "
 )
 GIVE = "leave a calibrated joint out of `drive_gain`, or give the `total_mass` of a floating robot"
 WITH_PAYLOAD = "give a log with a known `payload`, " + GIVE
@@ -329,8 +329,8 @@ def _prior_errors(
         place = errors.places[DRIVE_GAIN]
         mean[place] = request.factors.values[errors.gained_joints]
         std[place] = request.factors.spread * np.abs(mean[place])
-    if "plate_offset" in errors.kinds:
-        place = errors.places["plate_offset"]
+    if "wrench_offset" in errors.kinds:
+        place = errors.places["wrench_offset"]
         for index, frame in enumerate(errors.wrench_frames):
             if frame in request.tares:
                 part = slice(place.start + 6 * index, place.start + 6 * index + 6)

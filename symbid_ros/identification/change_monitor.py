@@ -67,7 +67,7 @@ class Change:
             return f"{names[0]} has {since}: {_describe(self.suspect)}"
         amounts = ", ".join(f"{_describe(one)} on {one.subject}" for one in self.suspects)
         return (
-            f"{', '.join(names[:-1])} or {names[-1]} has {since}, the motion does not tell which: "
+            f"{', '.join(names[:-1])} or {names[-1]} has {since}, the motion does not show which: "
             f"{amounts}"
         )
 

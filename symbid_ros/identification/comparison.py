@@ -121,7 +121,7 @@ def _remark_on_use(ranking: Sequence[Validation]) -> str:
     if not used:
         return ""
     return (
-        f"; of the log's {ranking[0].seconds:.0f} s, {' and '.join(used)} for the identification; "
+        f"; {' and '.join(used)} of this log's {ranking[0].seconds:.0f} s for the identification; "
         "repeat this with another log"
     )
 

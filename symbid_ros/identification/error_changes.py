@@ -35,8 +35,8 @@ def describe_files(percents: Mapping[str, float], after: float | None) -> str:
     if not lacking:
         return ""
     others = [name for name in percents if name not in lacking]
-    errors = ", ".join(f"{name} alone errs by {percent(percents[name])}" for name in lacking)
-    text = f"{errors}: {'it' if len(lacking) == 1 else 'they'} cannot hold all joint terms"
+    errors = ", ".join(f"error of {name} alone {percent(percents[name])}" for name in lacking)
+    text = f"{errors}: {'it' if len(lacking) == 1 else 'they'} cannot contain all joint terms"
     return f"{text}; {' and '.join(others)} can" if others else text
 
 

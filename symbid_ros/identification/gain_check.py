@@ -163,8 +163,8 @@ def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str
         f"{joint} reads {factor:.2g} times the torque" for joint, factor in factors.items()
     )
     return (
-        f"{Alarm.WRONG_FACTORS}: relative to the other joints, {named}; with these, the "
-        f"end of the log is predicted to {checked.percent_after:.2g} instead of {before:.2g} %; "
+        f"{Alarm.WRONG_FACTORS}: relative to the other joints, {named}; with these factors, the "
+        f"error at the end of the log is {checked.percent_after:.2g} % instead of {before:.2g} %; "
         "check torque constants and gear ratios"
     )
 
@@ -172,10 +172,10 @@ def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str
 def _near_alarm(near: Trial, before: float) -> str:
     named = ", ".join(f"{joint} {factor:.2g}" for joint, factor in _factors_of(near).items())
     return (
-        f"{Alarm.UNCERTAIN_FACTORS} (reading over torque: {named}); with these, the end of the log "
-        f"is predicted to {near.checked.percent_after:.2g} instead of {before:.2g} %; check torque "
-        "constants, gear ratios and link lengths; the factors are identified and assumed to be 1 "
-        f"within about {100 * PLAUSIBLE:.0f} %, `drive_gain` none takes efforts as they are"
+        f"{Alarm.UNCERTAIN_FACTORS} (reading over torque: {named}); with these, the error at the "
+        f"end of the log is {near.checked.percent_after:.2g} % instead of {before:.2g} %; check "
+        "torque constants, gear ratios and link lengths; the factors are identified and assumed to "
+        f"be 1 within about {100 * PLAUSIBLE:.0f} %, `drive_gain` none takes efforts as they are"
     )
 
 

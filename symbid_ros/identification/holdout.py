@@ -75,7 +75,7 @@ def hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOut
     elif found.advice == "mixed":
         summary += f"; {' and '.join(found.worse)} got worse"
     elif found.advice == "unfit":
-        summary += ", more than was measured"
+        summary += ", an error larger than the measured forces"
     if repeats >= REPEATED:
         summary += "; the motion repeats itself there, so other motions may be predicted worse"
     model = predictor.parameters.model

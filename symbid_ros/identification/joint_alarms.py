@@ -79,8 +79,7 @@ def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Iden
     alarms += [alarm for name, alarm in unpredicted.items() if name not in named]
     if missing := [one for name, one in unjudged.items() if name not in named]:
         alarms.append(
-            f"{Alarm.UNJUDGED_FRICTION} {', '.join(missing)}, although the efforts are clear of "
-            "noise: record longer"
+            f"{Alarm.UNJUDGED_FRICTION} {', '.join(missing)}: record longer, with more motion"
         )
     return found.with_alarms(tuple(alarms))
 
@@ -129,8 +128,8 @@ def _unpredicted(
             else CHECK_DRIVER[len(model.measured_joint_names) > 1]
         )
         alarms[name] = (
-            f"nothing of the effort of {name} ({force_text(size, unit)}) "
-            f"{Alarm.UNPREDICTED_EFFORT} and the effort is clear of noise: {cause}"
+            f"{Alarm.UNPREDICTED_EFFORT} {name} ({force_text(size, unit)}), although the joint "
+            f"moves and the effort is not noise: {cause}"
         )
     return alarms, unjudged
 

@@ -141,7 +141,7 @@ class JointReadings:
         reversed_ = [f"{what} of {', '.join(names)}" for what, names in groups.items() if names]
         if reversed_:
             said.append(f"{', '.join(reversed_)} have the opposite sign of the model's joint axis")
-        return f"{', and '.join(said)}, {Alarm.READINGS}"
+        return f"{Alarm.READINGS}: {', and '.join(said)}"
 
     @property
     def options(self) -> dict[str, list[str]]:

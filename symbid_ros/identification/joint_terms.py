@@ -44,10 +44,10 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 
 SIGNED_DRIVES = (
-    "the efforts contradict positive armature and friction of drives, so armature and viscous "
-    "friction may be negative: torque sensors behind the gears do not feel the rotors, or other "
-    "effects act like these terms, such as wrong link lengths in the model file; models are "
-    "written without negative ones"
+    "armature and viscous friction may be negative in this result, because positive ones do not "
+    "explain the efforts: torque sensors behind the gears do not measure the rotors, or other "
+    "effects, such as wrong link lengths, act like these terms; model files are written without "
+    "negative ones"
 )
 
 

@@ -33,23 +33,14 @@ RIDGE = 1e-3
 # error makes it "mostly" there.
 QUARTER, MOSTLY = 0.25, 0.5
 
-NO_OPTION = "no option models it, and the standard deviations allow for it"
-WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of warm drives"
-WRONG_EFFORTS = (
-    "the factors of the efforts that another alarm names may explain it; correct these first"
-)
-WRONG_WEIGHING = (
-    "the weighing, which contradicts the data according to another alarm, may explain it; settle "
-    "that first"
-)
-FROZEN = "a joint at rest that another alarm names may explain it; check that first"
-MISSING_INERTIA = (
-    "the efforts without inertia that another alarm names may explain it; settle that first"
-)
-DELAY_ALARM = "the delay that another alarm names"
-WRONG_READINGS = (
-    "the wrong readings of joints that another alarm names may explain it; correct these first"
-)
+NO_OPTION = "no option models it, but the standard deviations contain it"
+WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, with warm drives"
+WRONG_EFFORTS = "the wrong factors of efforts in another alarm may explain it; correct these first"
+WRONG_WEIGHING = "the wrong weighing or gain in another alarm may explain it; correct that first"
+FROZEN = "the joint at rest in another alarm may explain it; check that first"
+MISSING_INERTIA = "the missing inertia in another alarm may explain it; correct that first"
+DELAY_ALARM = "the delay in another alarm"
+WRONG_READINGS = "the wrong readings of joints in another alarm may explain it; correct these first"
 EFFECTS = {
     "viscous": "viscous friction",
     "warming": "viscous friction that changes during the log",
@@ -72,9 +63,9 @@ EFFECTS = {
     "link_length": "lengths of links",
     "joint_axis": "directions of joint axes",
     "frame_pose": "frames of sensors",
-    "plate_offset": "offsets of the wrench sensors",
-    "plate_gain": "gains of the wrench sensors",
-    "plate_pose": "positions of the wrench sensors",
+    "wrench_offset": "offsets of the wrench sensors",
+    "wrench_gain": "gains of the wrench sensors",
+    "wrench_position": "positions of the wrench sensors",
     "support": "a support without a sensor, such as a cable",
     "typical": "several sensor errors together",
 }
@@ -114,8 +105,8 @@ class Cause:
         """What to do about it."""
         if self.kind in TERMS:
             return f"leave `joint_terms` out, or add {self.kind} to it"
-        if self.kind == "plate_offset":
-            return "give a `tare`, or `sensor_errors` plate_offset"
+        if self.kind == "wrench_offset":
+            return "give a `tare`, or `sensor_errors` wrench_offset"
         if self.kind in SENSOR_ERROR_KINDS or self.kind == SEVERAL:
             return f"give `sensor_errors` {self.kind}"
         return ADVICE.get(self.kind, NO_OPTION)
@@ -137,10 +128,11 @@ def explained(
     own = [name for name in names if name in model.measured_joint_names]
     if not own:
         return found
+    motion = "it moved" if len(own) == 1 else "they moved"
     alarm = (
-        f"{Alarm.LACKING_JOINTS} {', '.join(own)}, taken to be at rest: motion there would "
-        "explain the other alarms; record the joint states of all joints, or give the names in the "
-        "log as `rename_joint`"
+        f"{Alarm.LACKING_JOINTS} {', '.join(own)}, assumed to be at rest: if {motion}, "
+        "this explains the other alarms; record the joint states of all joints, or give the names "
+        "in the log as `rename_joint`"
     )
     return found.with_alarms((*found.alarms, alarm))
 
@@ -214,12 +206,12 @@ def _explanation(rows: CandidateRows, worst: UnexplainedForce, delay: str = "") 
         return (
             f"none of these explains it: {tried}; {slow}check link lengths and frames of the model"
         )
-    likely = "likely cause" if cause.gain > MOSTLY else "a part of it"
+    likely = "likely cause" if cause.gain > MOSTLY else "partial cause"
     left = force_text(worst.size * cause.remains, worst.unit)
     what = f"{EFFECTS[cause.kind]}{cause.detail}"
     if cause.kind in ("delay", "effort_delay") and delay:
         what = delay
-    return f"{likely}: {what}, which would leave {left}; {cause.advice}"
+    return f"{likely}: {what}; with this, {left} remain unexplained; {cause.advice}"
 
 
 def best_cause(rows: CandidateRows, coordinate: str) -> Cause | None:

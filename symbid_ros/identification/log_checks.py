@@ -174,7 +174,7 @@ def check_dataset(
         found.append(missing_inertia_finding(checks.joint_topic, joints))
     mountings = {}
     tares = {}
-    if "plate_offset" in estimated and statistics is not None:
+    if "wrench_offset" in estimated and statistics is not None:
         tares = {
             frame: Tare(one.mean, one.std) for frame, one in statistics.unloaded.readings().items()
         }

@@ -102,8 +102,9 @@ def require_rows(dataset: Dataset, model: RobotModel) -> None:
     why = "each needs an effort"
     if model.contacts is not None:
         why = (
-            "with contacts of unknown wrench each needs the efforts of all joints that feel them; "
-            "with neither efforts nor wrenches not even the robot's mass can be known"
+            "because the wrenches at contacts are unknown, each row needs the efforts of all "
+            "joints that carry them; without efforts and wrenches not even the robot's mass can be "
+            "identified"
         )
     raise DataError(
         f"{dataset.source}: no row of the equation of motion is usable: {why}; record the efforts "

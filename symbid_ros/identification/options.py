@@ -97,22 +97,23 @@ class IdentifyOptions(RobotOptions):
     )
     prior_percent: float | None = option(
         None,
-        "Half-width of the uniform prior of the model's values, in percent of each value.",
+        "How far each value of the model may be wrong, ± percent of the value (half-width of a "
+        "uniform prior).",
         unit="%",
         positive=True,
         group=KNOWN,
     )
     prior_absolute: float | None = option(
         None,
-        "Half-width of the uniform prior of the model's values, the same number in SI units for "
-        "each.",
+        "How far each value of the model may be wrong, ± this number in SI units (half-width of a "
+        "uniform prior).",
         positive=True,
         group=KNOWN,
     )
     keep_prior: bool = option(
         False,
-        "Trust the model's values to ±25 %, as stated, whatever the data say. By default the data "
-        "decide, unless the held-out end of the log is predicted worse that way.",
+        "Keep the uncertainty of the model's values at ±25 %. By default it is estimated from the "
+        "data, and ±25 % is kept only if the last quarter of the log is then predicted better.",
         group=KNOWN,
     )
     total_mass: float | None = option(
@@ -128,13 +129,14 @@ class IdentifyOptions(RobotOptions):
     )
     force_scale_std: float | None = option(
         None,
-        "Standard deviation of the gain error that all forces and efforts have in common, which "
-        "no residual shows; it enters the deviations of all parameters. 0: none.",
+        "Standard deviation of a gain error that all force and effort sensors have in common. No "
+        "log shows such an error; the standard deviations of all parameters then contain it. 0: "
+        "none.",
         unit="%",
         minimum=0.0,
         maximum=100.0,
         group=KNOWN,
-        unset="1, in the deviations of the masses only",
+        unset="1, in the standard deviations of the masses only",
     )
     mirror: float | None = option(
         None,
@@ -161,12 +163,12 @@ class IdentifyOptions(RobotOptions):
     )
     information: Path | None = option(
         None,
-        "Folder of an earlier run, or its information.npz, whose data are added.",
+        "Folder of an earlier identification, or its information.npz; its data are used as well.",
         group=KNOWN,
     )
     joint_terms: tuple[str, ...] = option(
         (),
-        f"Joint terms to identify: auto (for each joint those that the data ask for), none, or a "
+        f"Joint terms to identify: auto (for each joint those that the data support), none, or a "
         f"comma-separated list of {', '.join(TERMS)} for all joints.",
         group=JOINTS,
         unset="auto; none with `filter` butterworth or savitzky_golay and with ols, wls_r, wls_c "
@@ -188,14 +190,14 @@ class IdentifyOptions(RobotOptions):
     drive_gain: tuple[str, ...] = option(
         (),
         "Joints whose efforts have an unknown unit or sign, such as motor currents: all, none, or "
-        "a comma-separated list. One factor for each is identified.",
+        "a comma-separated list. A factor on the effort of each is identified.",
         group=JOINTS,
-        unset="those whose efforts have clearly wrong factors in logs of arms",
+        unset="for arms, those whose efforts clearly have a wrong factor; otherwise none",
     )
     drive_gain_percent: float | None = option(
         None,
-        "Standard deviation of the factors of `drive_gain` about 1, such as 20 for efforts in Nm "
-        "by torque constants of data sheets.",
+        "Standard deviation of the factors of `drive_gain` about 1, such as 20 for efforts that "
+        "were computed with the torque constants of data sheets.",
         unit="%",
         positive=True,
         group=JOINTS,
@@ -210,25 +212,25 @@ class IdentifyOptions(RobotOptions):
     )
     coupling: tuple[str, ...] = option(
         (),
-        "Drives that turn with several joints, such as joint_5+joint_6 or joint_2-0.5*joint_3: "
-        "friction and armature then act on this sum as well.",
+        "Drives whose speed is a sum of joint speeds, such as joint_5+joint_6 or "
+        "joint_2-0.5*joint_3: friction and armature then act on this sum as well.",
         group=JOINTS,
         unset="searched for in logs of arms",
     )
     ripple: tuple[str, ...] = option(
         (),
-        "Torques that repeat in a turn of a joint, such as joint_6:4 for four periods a turn: "
-        "ripple of torque sensors, motors or gears.",
+        "Torque ripple of sensors, motors or gears: JOINT:PERIODS in a turn of the joint, such as "
+        "joint_6:4.",
         group=JOINTS,
         unset="searched for in logs",
     )
     sensor_errors: tuple[str, ...] = option(
         (),
-        f"Sensor errors to identify: typical (those that calibration leaves), none, or a "
+        f"Sensor errors to identify: typical (those that remain after calibration), none, or a "
         f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)}. compliance: "
-        "joints bend; link_length, joint_axis: geometry of the model.",
+        "elastic joints; link_length, joint_axis: errors of the model's geometry.",
         group=JOINTS,
-        unset="compliance if a log of an arm shows it, otherwise none",
+        unset="for arms, compliance if the log shows it; otherwise none",
     )
     filter: Filter | None = option(
         None,
@@ -263,8 +265,8 @@ class IdentifyOptions(RobotOptions):
     )
     full_rate: bool = option(
         False,
-        "Build a row for every sample before averaging. By default rows of fast logs are built at "
-        "the rate that the low-pass leaves information in.",
+        "Build the equation of motion at every sample before averaging. By default fast logs are "
+        "first reduced to the rate that the averaging windows need.",
         group=ROWS,
     )
     rank: int | None = option(
@@ -296,9 +298,9 @@ class IdentifyOptions(RobotOptions):
     )
     jobs: int | None = option(
         None,
-        "Number of threads that read and build rows; results do not depend on it.",
+        "Number of threads. The result is the same for any number.",
         minimum=1,
-        unset="the cores there are",
+        unset="one per CPU core",
     )
     no_holdout: bool = option(
         False, "Skip the trial without the last quarter of the log, which checks the result."

@@ -29,16 +29,16 @@ from symbid_ros.signals.weak_form import WINDOWS
 # Verdicts with which the stated prior is tried.
 NOT_BETTER = "worse", "mixed", "unfit"
 PRIOR_KEPT = (
-    "the prior is kept at ±25 % (keep_prior): with the one that the data ask for, the trial erred "
-    "more, {}"
+    "the prior is kept at ±25 % (keep_prior), because the prior that was estimated from the data "
+    "predicts the last quarter worse: {}"
 )
 NO_MOTION = (
-    f"{Alarm.AT_REST}, from which those in other postures do not follow, and its end is the same "
-    "posture again; record motion of all joints"
+    f"{Alarm.AT_REST} only, and its end, which checks the result, is the same posture; record "
+    "motion of all joints"
 )
 UNPREDICTED = (
-    f"{Alarm.UNPREDICTED_END}: {{}}; record longer and more varied motion, or correct what differs "
-    "there, such as a load or a contact"
+    f"{Alarm.UNPREDICTED_END}: {{}}; record longer and more varied motion, or look for what "
+    "differs there, such as a load or a contact"
 )
 
 

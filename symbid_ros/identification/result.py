@@ -360,10 +360,9 @@ class Result:
         return path
 
     def __repr__(self) -> str:
-        determined = sum(one.is_determined for one in self.parameters.values())
         lines = [
-            f"<Result of {self.estimate.method} for {self.estimate.model}: {determined} of "
-            f"{len(self.parameters)} parameters determined by the data, {len(self.alarms)} alarms",
+            f"<Result of {self.estimate.method} for {self.estimate.model}: "
+            f"{self.estimate.describe_determined()} determined, {len(self.alarms)} alarms",
             *(f"  ALARM {alarm}" for alarm in self.alarms),
             *(f"  {str(link)[1:-1]}" for link in self.links.values()),
         ]

@@ -23,18 +23,18 @@ class RobotOptions(MountingOptions):
 
     wrist_sensor: tuple[str, ...] = option(
         (),
-        "Frame of each wrist force/torque sensor, as FRAME or FRAME:LINK with the first link "
-        "beyond it, comma-separated; -FRAME if it reads the wrench of the robot on the payload. "
-        "What lies beyond it is identified as a link of its own, together with the sensor's "
-        "offset.",
+        "Frames of the wrist force/torque sensors, comma-separated. Everything beyond a sensor is "
+        "identified as a separate link, together with the sensor's offset. Write FRAME:LINK if "
+        "that begins with a link other than FRAME, and -FRAME if the sensor reads the wrench of "
+        "the robot on the payload.",
         group=GROUP,
     )
     contact: tuple[str, ...] = option(
         (),
-        "Frames at which something touches the robot without a wrench sensor, as FRAME or, without "
-        "moments, FRAME:point, comma-separated. A foot that is a ball in the model touches the "
-        "ground at its lowest point; FRAME:RADIUS gives another radius, m. Their wrenches are "
-        "eliminated at all times.",
+        "Frames at which something touches the robot without a wrench sensor, comma-separated. "
+        "Write FRAME:point if the contact transmits no moment. A foot that is a ball in the model "
+        "touches the ground at its lowest point; FRAME:RADIUS gives another radius, m. The unknown "
+        "wrenches are eliminated from the equations.",
         group=GROUP,
     )
 

@@ -95,7 +95,7 @@ def inseparable_terms(
             second = parameters.names[two].rpartition("/")[2]
             joints.setdefault((first, second), []).append(joint)
     return tuple(
-        f"{', '.join(names)}: this log does not tell {first} from {second}"
+        f"{', '.join(names)}: this log cannot distinguish {first} from {second}"
         for (first, second), names in joints.items()
     )
 
@@ -133,8 +133,8 @@ def replaceable_terms(parameters: ParameterSet, free: BoolArray) -> tuple[str, .
         if not twins:
             likest = names[int(np.argmax(np.abs(cosine)))]
             found.append(
-                f"{names[term]} acts like a sum of parameters of links, {likest} among them; the "
-                "data cannot tell it from that"
+                f"{names[term]} acts like a combination of link parameters, including {likest}; "
+                "the data cannot separate them"
             )
             continue
         factors = cosine * scale[term] / scale[:count]
@@ -146,6 +146,6 @@ def replaceable_terms(parameters: ParameterSet, free: BoolArray) -> tuple[str, .
             sign = "−" if factor < 0 else "+"
             combination = f"{names[twin]} {sign} {abs(factor):.3g} × {names[term]}"
         found.append(
-            f"{names[term]} acts like {names[twin]}; the data determine {combination} only"
+            f"{names[term]} acts like {names[twin]}; the data determine only {combination}"
         )
     return tuple(found)

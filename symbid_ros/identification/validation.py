@@ -221,8 +221,8 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
         else "hardly differs from the original",
         "worse": "do not use it, it is worse than the original",
         "mixed": f"do not use it yet, {' and '.join(found.worse)} got worse",
-        "unfit": "do not use it, it errs by more than was measured (give the robot file, units and "
-        "signs of the identification)",
+        "unfit": "do not use it, its error is larger than the measured forces (give the robot "
+        "file, units and signs of the identification)",
     }[found.advice]
     if found.is_better and found.is_of_other_robot:
         start = "better than the original, but not fit for this robot or load"

@@ -57,11 +57,11 @@ class LogOptions:
     pose_topic: tuple[str, ...] = option(
         (),
         "Odometry or PoseStamped topic with the pose of a floating robot in the world, as from "
-        "motion capture. It takes the place of an IMU; beside one, it tells link lengths and axes "
-        "if these are estimated.",
+        "motion capture. It replaces the IMU. Together with an IMU, it is used for link lengths "
+        "and joint axes, if `sensor_errors` names these.",
         group=GROUP,
     )
-    drive_topic: tuple[str, ...] = option(
+    wheel_topic: tuple[str, ...] = option(
         (),
         "Topic of a wheeled base's Odometry, or of an Imu on it. The base counts as fixed while it "
         "is parked; the times at which it drives are left out.",
@@ -82,14 +82,14 @@ class LogOptions:
     )
     contact_flag: tuple[str, ...] = option(
         (),
-        "Bool topic that tells whether a contact touches anything, and the frame of `contact` that "
-        "it is about, such as /left_foot/contact:=left_sole.",
+        "Bool topic that is true while a contact touches something, and the frame of this contact "
+        "in `contact`, such as /left_foot/contact:=left_sole.",
         group=MAPPING,
         unset="contacts may touch something at any time",
     )
     frame_prefix: str = option(
         "",
-        "Prefix of the sensors' frames that the model's frames lack, such as robot1/.",
+        "Prefix of frame names in the log that the model lacks, such as robot1/.",
         group=MAPPING,
     )
     rename_frame: tuple[str, ...] = option(
@@ -112,24 +112,24 @@ class LogOptions:
         "Joint that is not recorded and its constant position in rad (m), such as "
         "wrist_joint:=0.5.",
         group=MAPPING,
-        unset="in bags, joints that the log lacks are held at 0, with a warning, unless it has "
-        "joints that the model lacks",
+        unset="joints that a bag lacks are held at 0, with a warning, unless the bag has joints "
+        "that the model lacks",
     )
     position_scale: tuple[str, ...] = option(
         (),
-        "Joint and the rad (m) in one unit of its positions and velocities, such as "
+        "Joint and the factor from its positions and velocities to rad (m), such as "
         "elbow_joint:=0.0174533 for degrees.",
         group=MAPPING,
     )
     effort_scale: tuple[str, ...] = option(
         (),
-        "Joint and the Nm (N) in one unit of its efforts, such as elbow_joint:=-0.11 for a "
+        "Joint and the factor from its efforts to Nm (N), such as elbow_joint:=-0.11 for a "
         "current.",
         group=MAPPING,
     )
     flip_wrench: tuple[str, ...] = option(
         (),
-        "Frame of a sensor that measures the wrench of the robot on its environment.",
+        "Frame of a wrench sensor that reads the wrench of the robot on its environment.",
         group=MAPPING,
     )
     rotate_imu: tuple[str, ...] = option(

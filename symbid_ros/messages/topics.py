@@ -115,7 +115,7 @@ class TopicSelection:
             wrenches=options.wrench_topic or None,
             mapping=SensorMapping.of(options),
             poses=options.pose_topic,
-            drives=options.drive_topic,
+            drives=options.wheel_topic,
         )
 
     def of_model(self, model: RobotModel) -> "TopicSelection":
@@ -257,7 +257,7 @@ class TopicSelector:
                 f"{robot_file_line('joint_topic', *(topic.name for topic in joints))}",
                 "E212",
             )
-        drives = self._find_named("drive_topic", self.selection.drives, DRIVES)
+        drives = self._find_named("wheel_topic", self.selection.drives, DRIVES)
         imus = self._find(IMU, self.selection.imus, None)
         chosen = SelectedTopics(
             joints,

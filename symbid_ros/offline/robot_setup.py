@@ -272,10 +272,10 @@ class _TopicMatcher:
         """Name the topic that tells when a wheeled base drives."""
         odometry = odometry_topics(self.topics)
         if len(odometry) == 1:
-            self.setup.add("drive_topic", odometry[0], "The base counts as fixed while it stands.")
+            self.setup.add("wheel_topic", odometry[0], "The base counts as fixed while it stands.")
             return
         for topic in odometry or [each.name for each in self._of_type(IMU)]:
-            self.setup.note("drive_topic", f"If the base has wheels, {topic} may be given.")
+            self.setup.note("wheel_topic", f"If the base has wheels, {topic} may be given.")
 
     def _of_type(self, msgtype: str) -> list[Topic]:
         found = [topic for topic in self.topics if topic.msgtype == msgtype]

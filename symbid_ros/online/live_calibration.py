@@ -39,7 +39,7 @@ AGAIN = 2
 FEW = 4
 # Distance of a tare from the estimated offset, in deviations, from which the offset has changed.
 CONTRADICTS = 5.0
-OFFSET = "plate_offset"
+OFFSET = "wrench_offset"
 
 
 class LiveCalibration:

@@ -56,7 +56,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
         SummaryEntry(
             "Effective parameters",
             f"{significant(verdict.effective)} of {estimate.identified}",
-            "sum over all combinations of the share that the data add; "
+            "sum, over all combinations, of the share of the variance that the data removed; "
             f"{significant(verdict.gain)} bits gained in total",
         ),
         SummaryEntry(
@@ -82,7 +82,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
         SummaryEntry(
             "Noise in the motion",
             f"{significant(100 * noise)} %",
-            "of the apparent information about the worst direction; alarm above "
+            "of the apparent information about the combination with most noise; alarm above "
             f"{100 * SUSPICIOUS_NOISE:g} %",
             is_alarm=noise > SUSPICIOUS_NOISE,
         ),
@@ -108,13 +108,14 @@ def _mass_scale_entries(verdict: Verdict, *, floating: bool) -> tuple[SummaryEnt
         return ()
     checkable = " without a weighing" if floating else ""
     if floating and verdict.weighing_std > 0:
-        checkable = f" by a weighing with a deviation of {significant(verdict.weighing_std)} kg"
+        std = significant(verdict.weighing_std)
+        checkable = f" by a weighing with a standard deviation of {std} kg"
     return (
         SummaryEntry(
             "Mass scale",
             f"± {significant(100 * verdict.mass_scale)} %",
-            f"not checkable{checkable}: a gain that all forces and efforts have in common leaves "
-            "no residual",
+            f"not checkable{checkable}: a gain error that all force and effort sensors have in "
+            "common leaves no residual",
         ),
     )
 

@@ -88,9 +88,12 @@ def _recommended(estimate: Estimate) -> Recommendation:
         return Recommendation(
             "caution", f"This model hardly differs from the original: {figure}{calm}.", repeats
         )
-    kinds = {"worse": "is worse than the original", "unfit": "errs by more than was measured"}
-    worse = kinds.get(holdout.advice, "is partly worse")
-    return Recommendation("bad", f"Do not use this model, it {worse}: {figure}{calm}.", repeats)
+    kinds = {
+        "worse": "it is worse than the original",
+        "unfit": "its error is larger than the measured forces",
+    }
+    worse = kinds.get(holdout.advice, "it is partly worse than the original")
+    return Recommendation("bad", f"Do not use this model, {worse}: {figure}{calm}.", repeats)
 
 
 def _with_alarms(estimate: Estimate, number: int) -> Recommendation:
@@ -153,7 +156,7 @@ class KeyFigure:
 
 
 def key_figures(content: ReportContent) -> tuple[KeyFigure, ...]:
-    """Return mass, centre of mass, share of measured combinations, and length of the log."""
+    """Return mass, centre of mass, share of determined combinations, and length of the log."""
     shown, estimate = content.shown, content.estimate
     figures = []
     if shown.summary is not None:
@@ -161,8 +164,8 @@ def key_figures(content: ReportContent) -> tuple[KeyFigure, ...]:
     if estimate.verdict is not None:
         figures.append(
             KeyFigure(
-                "Measured",
-                describe_measured(estimate),
+                "Determined",
+                describe_combinations(estimate),
                 "parameter combinations; the others keep the model file’s values",
             )
         )
@@ -183,8 +186,8 @@ def _error_against_truth(content: ReportContent) -> list[KeyFigure]:
     return [KeyFigure("Error against the truth", f"{significant(metrics[key])} mm", note)]
 
 
-def describe_measured(estimate: Estimate) -> str:
-    """Return the number of measured combinations, as the terminal does."""
+def describe_combinations(estimate: Estimate) -> str:
+    """Return the number of determined combinations, as the terminal does."""
     if estimate.verdict is None:
         return ABSENT
     return f"{len(estimate.verdict.directions)} of {estimate.identified}"
@@ -339,7 +342,7 @@ def _scaled(rows: Sequence[ErrorRow], note: str) -> ErrorBars | None:
         scale = np.where(measured > 0, measured, np.inf) / 100
     longest = robust_maximum(np.maximum(before, after) / scale)
     if is_relative:
-        # An original model that errs by more than was measured must not hide the identified one's.
+        # An error of the original model above the measured force must not hide the other one.
         longest = min(longest, max(100.0, robust_maximum(after / scale)))
     longest = rounded_up(longest)
 

@@ -18,7 +18,7 @@ from symbid_ros.report.formatting import significant, with_std
 # Okabe and Ito's blue and vermilion, on which the opacity shows the size.
 POSITIVE, NEGATIVE = (0, 114, 178), (213, 94, 0)
 PAIRS_SHOWN = 8
-CHANGES_SHOWN = 8
+LINK_CHANGES_SHOWN, TERM_CHANGES_SHOWN = 8, 4
 LABELS_SHOWN = 22  # at most, beside the correlation matrix
 
 
@@ -141,7 +141,7 @@ def _legible(groups: Sequence[tuple[str, int]]) -> tuple[tuple[str, int], ...]:
 
 @dataclass(frozen=True)
 class LargeChange:
-    """A parameter that moved far from its original value."""
+    """A parameter that changed much."""
 
     name: str
     before: str
@@ -150,13 +150,23 @@ class LargeChange:
 
 
 def largest_changes(estimate: Estimate, prior_std: FloatArray | None) -> tuple[LargeChange, ...]:
-    """Return the parameters that moved farthest, in standard deviations of the original."""
+    """Return the parameters that changed most, in standard deviations of the original.
+
+    Those of links come first, then joint terms, which often have no original value.
+    """
     if prior_std is None or estimate.std is None:
         return ()
     change = np.zeros(len(estimate.names))
     known = prior_std > 0
     change[known] = (estimate.value - estimate.prior)[known] / prior_std[known]
-    order = np.argsort(-np.abs(change), kind="stable")[:CHANGES_SHOWN]
+    is_of_link = np.array([name.rpartition("/")[2] in PARAMETERS for name in estimate.names])
+    order = np.argsort(-np.abs(change), kind="stable")
+    order = np.concatenate(
+        [
+            order[is_of_link[order]][:LINK_CHANGES_SHOWN],
+            order[~is_of_link[order]][:TERM_CHANGES_SHOWN],
+        ]
+    )
     return tuple(
         LargeChange(
             estimate.names[index],

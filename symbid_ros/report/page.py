@@ -24,7 +24,7 @@ from symbid_ros.report.figures import (
     signal_panels,
     torque_signals,
 )
-from symbid_ros.report.first_screen import describe_measured, error_bars, key_figures, recommend
+from symbid_ros.report.first_screen import describe_combinations, error_bars, key_figures, recommend
 from symbid_ros.report.formatting import significant
 from symbid_ros.report.interactive import figure_css, figure_data, figure_script, script_json
 from symbid_ros.report.log_bars import joint_ranges, timeline
@@ -102,7 +102,7 @@ def render(content: ReportContent) -> str:
         "robot_view": robot.html if robot else "",
         "missing_boxes": _missing_boxes(content),
         "verdict": estimate.verdict,
-        "measured": describe_measured(estimate),
+        "measured": describe_combinations(estimate),
         "entries": verdict_entries(estimate),
         "links": link_rows(estimate, com_std),
         "has_com": bool(com_std),
@@ -219,13 +219,13 @@ def _forces(result: MethodResult, forces: ForceSeries) -> ForcePanels:
     shown = forces.time[-1] - forces.time[0] if len(forces.time) else 0.0
     if shown < 0.9 * (forces.stop - forces.start):
         what += f" Shown are the {significant(float(shown))} s in which forces change most."
-    what += " Errors have an axis of their own."
+    what += " The errors have their own scale."
     if given is None and (start := given_options(estimate).get("start")):
         what += f" Time counts from the start of the part that was read, {start:g} s into the bag."
     if has_block_gaps(forces, result.drawn.coverage):
         what += (
-            " Curves have a gap at the end of each block of data, 4 s in most logs, because "
-            "averages do not cross it."
+            " The short gaps in the curves are normal: forces are averaged within blocks of data, "
+            "of 4 s in most logs, and not across their borders."
         )
     if has_hidden_errors(forces):
         what += " Errors of the original model that exceed the measured force are cut off."

@@ -10,7 +10,7 @@ from symbid_ros.choices import TERMS
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.report_data import Coverage, ForceSeries
 from symbid_ros.report.content import MethodResult
-from symbid_ros.report.first_screen import describe_measured
+from symbid_ros.report.first_screen import describe_combinations
 from symbid_ros.report.formatting import ABSENT, significant, with_std
 from symbid_ros.report.shown_log import describe_identified_log
 
@@ -59,7 +59,7 @@ def compared_results(results: Sequence[MethodResult]) -> ComparedResults | None:
             "Error on data held out": ABSENT if held_out is None else held_out.summary,
             "Alarms": alarms,
             "Joint terms": estimate.describe_terms() or _named_terms(estimate) or "none",
-            "Measured": describe_measured(estimate),
+            "Determined combinations": describe_combinations(estimate),
         }
         if summary is not None:
             cells["Mass"] = f"{with_std(summary.mass, summary.mass_std)} kg"

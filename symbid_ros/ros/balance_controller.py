@@ -47,7 +47,7 @@ PARAMETERS = (
         "file",
         "Where the robot's inertias come from: the file alone, or later also the topics of the "
         "node identifier, whose models are used when they can be trusted; moves then begin small "
-        "and widen as the deviations of mass and centre of mass shrink.",
+        "and grow as the standard deviations of mass and centre of mass decrease.",
         choices=("file", "identifier"),
     ),
     Parameter(

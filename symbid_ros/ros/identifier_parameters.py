@@ -26,7 +26,7 @@ PARAMETERS = (
     Parameter(
         "base",
         "auto",
-        "Whether the base of a URDF may move; auto: it does unless it is 'world'.",
+        "Base of a URDF; auto: floating, unless the root link is named 'world'.",
         choices=("auto", "floating", "fixed"),
     ),
     *parameters_of(IdentifyOptions),
@@ -45,8 +45,8 @@ PARAMETERS = (
     Parameter(
         "memory",
         0.0,
-        "Online: seconds in which the weight of data falls to 1/e, so that the estimate follows "
-        "changes; 0: data are never forgotten.",
+        "Online: time constant of forgetting, s: older data lose weight, so that the estimate "
+        "follows changes; 0: data are never forgotten.",
         minimum=0.0,
         live=True,
     ),
@@ -86,7 +86,7 @@ PARAMETERS = (
     Parameter(
         "row_share",
         0.15,
-        "Online: share of a CPU core that the rows of complete blocks may use.",
+        "Online: share of a CPU core for building the equations of motion of complete blocks.",
         minimum=0.01,
         maximum=1.0,
     ),

@@ -39,7 +39,7 @@ from symbid_ros.ros.process import run_node
 from symbid_ros.ros.reporting import NUMBER
 
 SILENCE = 3.0  # s without a status until it is reported; the identifier publishes every second
-LEGEND = "known: from the data; σ ÷: first σ divided by the present one"
+LEGEND = "known: parameters that the data determine; σ ÷: first σ divided by the present one"
 ERROR_LEGEND = "; error: RMS of the ten"
 IMPOSSIBLE = "physically impossible"
 POLL = 0.1  # s
@@ -218,7 +218,7 @@ def _clock(stamp: int) -> str:
 
 def _count(estimate: RobotEstimate) -> str:
     known = ABSENT if estimate.determined is None else str(estimate.determined)
-    return f"{known} of {estimate.parameters} parameters determined by the data"
+    return f"{known} of {estimate.parameters} single parameters determined"
 
 
 def _stream(stream: StreamCounts) -> str:

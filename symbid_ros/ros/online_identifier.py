@@ -475,5 +475,4 @@ def _read_tares(
 
 def _summarize(newest: OnlineEstimate) -> str:
     estimate = newest.found.estimate
-    count = 0 if estimate.determined is None else int(estimate.determined.sum())
-    return f"{count} of {estimate.identified} parameters determined by {estimate.samples} rows"
+    return f"{estimate.describe_determined()} determined by {estimate.samples} rows"

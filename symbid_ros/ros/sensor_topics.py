@@ -352,7 +352,7 @@ def missing_topics(
         ("wrench_topic", (WRENCH,), selection.wrenches),
         ("contact_flag", (BOOL,), tuple(selection.mapping.flagged)),
         ("pose_topic", POSES, selection.poses),
-        ("drive_topic", DRIVES, selection.drives),
+        ("wheel_topic", DRIVES, selection.drives),
     ):
         for name in wanted or ():
             if f"/{name.lstrip('/')}" not in names:

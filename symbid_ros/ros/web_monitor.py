@@ -56,7 +56,7 @@ PARAMETERS = (
     Parameter(
         "base",
         "auto",
-        "Whether the base of a URDF may move; auto: it does unless it is 'world'.",
+        "Base of a URDF; auto: floating, unless the root link is named 'world'.",
         choices=("auto", "floating", "fixed"),
     ),
     Parameter("prior", "", "The identifier's prior.json; empty: the values of the model."),
@@ -249,9 +249,8 @@ class WebMonitor:
         parts = ["waiting for an estimate"]
         if estimate is not None:
             known = estimate.determined
-            parts = (
-                [] if known is None else [f"{known} of {estimate.parameters} parameters determined"]
-            )
+            count = f"{known} of {estimate.parameters} single parameters determined"
+            parts = [] if known is None else [count]
             for key, text in (("age", "{:.1f} s old"), ("samples", "{:.0f} rows")):
                 if math.isfinite(number := status.number(key)):
                     parts.append(text.format(number))

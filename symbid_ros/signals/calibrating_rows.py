@@ -154,17 +154,17 @@ def _fill_plates(
 ) -> None:
     """Fill the columns of the wrench sensors' errors; y is linear in the wrenches."""
     frames = errors.wrench_frames
-    linear = {"plate_offset", "plate_gain", "plate_pose", FRAME}
+    linear = {"wrench_offset", "wrench_gain", "wrench_position", FRAME}
     if linear.isdisjoint(errors.kinds) or not frames:
         return
     corrected = errors.corrected(readings, theta)
     poses = link_poses(model, model.apply_mimics(corrected.position))
     response = contact_jacobian(model, frames, poses).transpose(0, 2, 1)
     response = response.reshape(len(readings), model.dof, len(frames), 6)
-    gain = 1 + errors.of_kind("plate_gain", theta)
+    gain = 1 + errors.of_kind("wrench_gain", theta)
     realigned = errors.realigned(readings, theta)
-    rescaled = (realigned.wrenches - errors.of_kind("plate_offset", theta)) / gain
-    lever = errors.of_kind("plate_pose", theta)
+    rescaled = (realigned.wrenches - errors.of_kind("wrench_offset", theta)) / gain
+    lever = errors.of_kind("wrench_position", theta)
     # Derivative of the corrected wrench by each component of the uncorrected one.
     correction = np.tile(np.eye(6), (len(frames), 1, 1))
     correction[:, :3, 3:] = np.cross(lever[:, None], np.eye(3)).swapaxes(1, 2)
@@ -184,9 +184,9 @@ def _fill_plates(
         ).reshape(len(readings), model.dof, -1)
         response = raw.reshape(response.shape)
     changes = {
-        "plate_offset": -raw_response / gain,
-        "plate_gain": -raw_response * (rescaled / gain)[:, None],
-        "plate_pose": np.einsum(
+        "wrench_offset": -raw_response / gain,
+        "wrench_gain": -raw_response * (rescaled / gain)[:, None],
+        "wrench_position": np.einsum(
             "tnfi,tfji->tnfj",
             response[..., :3],
             np.cross(np.eye(3), rescaled[:, :, None, 3:]),

@@ -13,7 +13,7 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.signals.sensor_errors import SensorErrors
 
 # Errors that warmth changes.
-DRIFTING_KINDS = "plate_offset", "imu_bias"
+DRIFTING_KINDS = "wrench_offset", "imu_bias"
 MINUTE = 60_000_000_000  # ns
 # Shorter logs have constant errors. Longer ones than the most knots cover have knots farther apart.
 SHORTEST, MOST_KNOTS = 2 * MINUTE, 6

@@ -17,9 +17,9 @@ from symbid_ros.signals.sensor_samples import SensorSamples
 
 # Typical calibration errors: standard deviations per component.
 DEVIATIONS = {
-    "plate_offset": (0.2,) * 3 + (2.0,) * 3,  # Nm, N
-    "plate_gain": (0.006,) * 6,
-    "plate_pose": (0.0015,) * 3,  # m
+    "wrench_offset": (0.2,) * 3 + (2.0,) * 3,  # Nm, N
+    "wrench_gain": (0.006,) * 6,
+    "wrench_position": (0.0015,) * 3,  # m
     "torque_gain": (0.016,),
     "imu_mounting": (np.radians(0.15),) * 3,
     "imu_bias": (0.002,) * 3 + (0.02,) * 3,  # rad/s, m/s²
@@ -29,14 +29,14 @@ DEVIATIONS = {
     # Uniform errors of up to 2 mm and 0.3 degrees.
     "link_length": (0.0012,) * 3,  # m
     "joint_axis": (np.radians(0.17),) * 3,
-    "frame_pose": (np.radians(0.17),) * 3,  # of wrench sensors; IMUs have that of plate_pose
+    "frame_pose": (np.radians(0.17),) * 3,  # of wrench sensors; IMUs have that of wrench_position
     "drive_gain": (1.0,),  # relative to the first guess
     "payload_place": (0.1,) * 3,  # m
 }
 UNITS = {
-    "plate_offset": ("Nm",) * 3 + ("N",) * 3,
-    "plate_gain": ("1",) * 6,
-    "plate_pose": ("m",) * 3,
+    "wrench_offset": ("Nm",) * 3 + ("N",) * 3,
+    "wrench_gain": ("1",) * 6,
+    "wrench_position": ("m",) * 3,
     "torque_gain": ("1",),
     "imu_mounting": ("rad",) * 3,
     "imu_bias": ("rad/s",) * 3 + ("m/s^2",) * 3,
@@ -59,8 +59,8 @@ ALL_KINDS = (*KINDS, DRIVE_GAIN, PLACE)
 
 _AXES = {1: ("",), 3: ("_x", "_y", "_z")}
 _PAIRS = {
-    "plate_offset": ("moment", "force"),
-    "plate_gain": ("moment", "force"),
+    "wrench_offset": ("moment", "force"),
+    "wrench_gain": ("moment", "force"),
     "imu_bias": ("gyroscope", "accelerometer"),
 }
 
@@ -120,7 +120,7 @@ class SensorErrors:
         )
 
     def _owners(self, kind: str) -> tuple[str, ...]:
-        if kind.startswith("plate"):
+        if kind.startswith("wrench"):
             return self.wrench_frames
         if kind.startswith("imu"):
             return self.imu_frames
@@ -139,7 +139,7 @@ class SensorErrors:
         Of a frame's pose only that half is an unknown which is no kind by itself: rotations of
         wrench sensors, and positions of IMUs.
         """
-        return "plate_pose" if kind == FRAME and owner in self.imu_frames else kind
+        return "wrench_position" if kind == FRAME and owner in self.imu_frames else kind
 
     @cached_property
     def places(self) -> dict[str, slice]:
@@ -213,7 +213,7 @@ class SensorErrors:
             size = len(DEVIATIONS[kind])
             for index, owner in enumerate(self._owners(kind)):
                 columns = slice(place.start + size * index, place.start + size * (index + 1))
-                if kind.startswith("plate") or (
+                if kind.startswith("wrench") or (
                     kind in (DELAY, FRAME) and owner in self.wrench_frames
                 ):
                     carried = model.ancestors[:, model.loaded_link(owner)]
@@ -321,10 +321,10 @@ class SensorErrors:
         factor = np.ones(len(self.joints))
         if DRIVE_GAIN in self.kinds:
             factor[self.gained_joints] = theta[self.places[DRIVE_GAIN]]
-        wrenches = (readings.wrenches - self.of_kind("plate_offset", theta)) / (
-            1 + self.of_kind("plate_gain", theta)
+        wrenches = (readings.wrenches - self.of_kind("wrench_offset", theta)) / (
+            1 + self.of_kind("wrench_gain", theta)
         )
-        wrenches[:, :, :3] += np.cross(self.of_kind("plate_pose", theta), wrenches[:, :, 3:])
+        wrenches[:, :, :3] += np.cross(self.of_kind("wrench_position", theta), wrenches[:, :, 3:])
         frames = self.of_kind(FRAME, theta)
         if frames.any():
             plates = Rotation.from_rotvec(frames[: len(self.wrench_frames)]).as_matrix()

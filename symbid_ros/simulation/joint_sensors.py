@@ -29,8 +29,8 @@ class JointSensorOptions:
     )
     effort_noise: float = option(
         0.1,
-        "Standard deviation of the noise of efforts, in percent of each joint's effort limit; "
-        "of twice what gravity may demand where the model has none.",
+        "Standard deviation of the noise of efforts, in percent of each joint's effort limit, or "
+        "of twice the largest gravity torque if the model has no limit.",
         unit="%",
         minimum=1e-6,
         maximum=100.0,
@@ -38,7 +38,7 @@ class JointSensorOptions:
     )
     position_noise: float = option(
         2e-5,
-        "Standard deviation of the noise of positions; a tenth of it in m for slides.",
+        "Standard deviation of the noise of positions; prismatic joints: a tenth of it, in m.",
         unit="rad",
         minimum=0.0,
         maximum=0.1,
@@ -78,8 +78,8 @@ class BaseSensorOptions:
     )
     wrench_noise: float = option(
         0.1,
-        "Standard deviation of the noise of the feet's forces, in percent of the weight; of "
-        "moments by a lever of 0.1 m.",
+        "Standard deviation of the noise of the feet's forces, in percent of the weight; that of "
+        "moments is this force times 0.1 m.",
         unit="%",
         minimum=1e-6,
         maximum=100.0,

@@ -96,8 +96,8 @@ class TruthOptions:
 
     truth_percent: float = option(
         25.0,
-        "Half-width of the uniform distribution of each link's mass moments about those of the "
-        "model; 0: the model's.",
+        "How far mass, first moments and inertia of each true link may differ from the model's, ± "
+        "percent (uniform); 0: not at all.",
         unit="%",
         minimum=0.0,
         maximum=95.0,

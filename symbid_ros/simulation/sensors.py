@@ -144,7 +144,7 @@ class Sensors:
         self._noise = np.zeros((0, ends[-1]))
         self._next = 0
         self._encoder_offset, self._torque_gain = errors.encoder_offset, 1.0 + errors.torque_gain
-        self._plate_offset = errors.plate_offset
+        self._wrench_offset = errors.wrench_offset
         self._plate_matrices = _plate_matrices(errors)
         self._mounting = np.array([1.0, 0.0, 0.0, 0.0])  # wxyz from the IMU's axes to its frame
         mujoco.mju_quatIntegrate(self._mounting, errors.imu_mounting, 1.0)
@@ -155,7 +155,7 @@ class Sensors:
         self._drifts = bool(errors.drift.any())
         steps = errors.quantisation
         self._steps = (
-            np.zeros(0) if steps is None else steps.by_channel(joints, len(self._plate_offset))
+            np.zeros(0) if steps is None else steps.by_channel(joints, len(self._wrench_offset))
         )
         self._delays = errors.delays.tolist()
         self._past: deque[Truth] = deque(maxlen=1 + math.ceil(max(self._delays)))
@@ -229,7 +229,7 @@ class Sensors:
         readings = truth.wrenches.copy()
         for plate, matrix in enumerate(self._plate_matrices):
             np.dot(matrix, self._delayed(PLATES + plate).wrenches[plate], readings[plate])
-        readings[: len(self._plate_offset)] += self._plate_offset
+        readings[: len(self._wrench_offset)] += self._wrench_offset
         return readings
 
     def _add_drift(self, readings: FloatArray, time: float) -> None:
@@ -281,7 +281,7 @@ def _interpolated(later: Truth, earlier: Truth, share: float) -> Truth:
 
 def _plate_matrices(errors: SystematicErrors) -> FloatArray:
     """Return the matrices (F, 6, 6) from true (force; moment) to readings without offset."""
-    matrices = np.tile(np.eye(6), (len(errors.plate_gain), 1, 1))
+    matrices = np.tile(np.eye(6), (len(errors.wrench_gain), 1, 1))
     # n' = n - d × f: the moment about a point at distance d from the frame's origin.
-    matrices[:, 3:, :3] = -np.cross(errors.plate_pose[:, None], np.eye(3)).swapaxes(1, 2)
-    return np.asarray(errors.plate_gain[:, :, None] * matrices + matrices)
+    matrices[:, 3:, :3] = -np.cross(errors.wrench_position[:, None], np.eye(3)).swapaxes(1, 2)
+    return np.asarray(errors.wrench_gain[:, :, None] * matrices + matrices)

@@ -66,11 +66,11 @@ class SystematicErrors:
 
     Attributes
     ----------
-    plate_gain : (F, 6) float64
+    wrench_gain : (F, 6) float64
         Relative error of each channel of each plate, (force; moment).
-    plate_offset : (F, 6) float64
+    wrench_offset : (F, 6) float64
         Reading of an unloaded plate, N and Nm.
-    plate_pose : (F, 3) float64
+    wrench_position : (F, 3) float64
         Vector from the frame's origin to the point about which the plate reports its moment,
         in the frame's axes, m.
     torque_gain : (J,) float64
@@ -94,9 +94,9 @@ class SystematicErrors:
         accelerometer) since the start of the motion, once a second, N, Nm, rad/s and m/s².
     """
 
-    plate_gain: FloatArray
-    plate_offset: FloatArray
-    plate_pose: FloatArray
+    wrench_gain: FloatArray
+    wrench_offset: FloatArray
+    wrench_position: FloatArray
     torque_gain: FloatArray
     imu_mounting: FloatArray
     encoder_offset: FloatArray
@@ -110,9 +110,9 @@ class SystematicErrors:
     def none(cls, joints: int, plates: int) -> "SystematicErrors":
         """Return zero errors."""
         return cls(
-            plate_gain=np.zeros((plates, 6)),
-            plate_offset=np.zeros((plates, 6)),
-            plate_pose=np.zeros((plates, 3)),
+            wrench_gain=np.zeros((plates, 6)),
+            wrench_offset=np.zeros((plates, 6)),
+            wrench_position=np.zeros((plates, 3)),
             torque_gain=np.zeros(joints),
             imu_mounting=np.zeros(3),
             encoder_offset=np.zeros(joints),
@@ -140,7 +140,9 @@ def draw_errors(names: tuple[str, ...], seed: int, *, joints: int, plates: int) 
         Numbers of joints and plates.
     """
     drawn = {
-        name: ERRORS[name](np.random.default_rng([seed, *name.encode()]), joints, plates)
+        name: ERRORS[name](
+            np.random.default_rng([seed, *STREAMS.get(name, name).encode()]), joints, plates
+        )
         for name in names
     }
     return replace(SystematicErrors.none(joints, plates), **drawn)
@@ -187,17 +189,25 @@ def _draw_walks(random: np.random.Generator, plates: int) -> FloatArray:
     return smooth
 
 
+# Names of the random streams, where they differ from those of the errors: the numbers in published
+# tables come from these.
+STREAMS = {
+    "wrench_gain": "plate_gain",
+    "wrench_offset": "plate_offset",
+    "wrench_position": "plate_pose",
+}
+
 Draw = Callable[[np.random.Generator, int, int], Any]
 
 ERRORS: dict[str, Draw] = {
-    "plate_gain": lambda random, _, plates: _draw_scalars(random, PLATE_GAIN, (plates, 6)),
-    "plate_offset": lambda random, _, plates: np.hstack(
+    "wrench_gain": lambda random, _, plates: _draw_scalars(random, PLATE_GAIN, (plates, 6)),
+    "wrench_offset": lambda random, _, plates: np.hstack(
         [
             _draw_scalars(random, PLATE_FORCE_OFFSET, (plates, 3)),
             _draw_scalars(random, PLATE_MOMENT_OFFSET, (plates, 3)),
         ]
     ),
-    "plate_pose": lambda random, _, plates: _draw_vectors(random, PLATE_DISPLACEMENT, plates),
+    "wrench_position": lambda random, _, plates: _draw_vectors(random, PLATE_DISPLACEMENT, plates),
     "torque_gain": lambda random, joints, _: _draw_scalars(random, TORQUE_GAIN, (joints,)),
     "imu_mounting": lambda random, *_: _draw_vectors(random, IMU_MOUNTING, 1)[0],
     "encoder_offset": lambda random, joints, _: _draw_scalars(random, ENCODER_OFFSET, (joints,)),
@@ -208,9 +218,9 @@ ERRORS: dict[str, Draw] = {
     "drift": lambda random, _, plates: _draw_walks(random, plates),
 }
 TYPICAL = (
-    "plate_gain",
-    "plate_offset",
-    "plate_pose",
+    "wrench_gain",
+    "wrench_offset",
+    "wrench_position",
     "torque_gain",
     "imu_mounting",
     "encoder_offset",

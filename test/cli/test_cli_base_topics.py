@@ -95,7 +95,7 @@ def test_the_odometry_of_a_wheeled_base_is_listed(tmp_path):
     bag = write_bag(streams, tmp_path / "bag", [("/odom", ODOMETRY, stamp, records)])
     setup = inspect_robot(tmp_path / "arm.urdf", [bag])
     assert setup.base == "fixed"
-    assert setup.options["drive_topic"] == ["/odom"]
+    assert setup.options["wheel_topic"] == ["/odom"]
     log = bag_log([bag], arm, TopicSelection.of(setup.log_options))
     assert log.streams().driving == ()
 

@@ -134,7 +134,7 @@ def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
         ),
         ({"total_mass": 60, "prior_percent": 5}, "60 kg contradicts the prior, whose links weigh"),
         ({"mirror": 0}, "--mirror: 0.0 is not valid; give a number above 0"),
-        ({"sensor_errors": "plate_offse"}, "'plate_offse' is not known; give typical"),
+        ({"sensor_errors": "wrench_offse"}, "'wrench_offse' is not known; give typical"),
         ({"sensor_errors": "typical", "filter": "butterworth"}, "leave --filter out"),
         ({"rank": 5, "choose_truncation": "log"}, "--rank and --choose-truncation both choose"),
         ({"select_by": "torque"}, "--select-by has no effect without --choose-truncation"),

@@ -43,8 +43,8 @@ def test_tare_shows_the_plates_offsets(symbid_here, tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith(f"{bag}: 5.0 s, ")
     drawn = Simulator(
-        SimulateOptions("smooth", errors="plate_offset", error_seed=3)
-    ).errors.plate_offset
+        SimulateOptions("smooth", errors="wrench_offset", error_seed=3)
+    ).errors.wrench_offset
     streams = read_streams([bag])
     for wrench, offset in zip(streams.wrenches, drawn, strict=False):
         # Mean of 5000 readings of noise 1 N and .1 Nm: within five standard errors.
@@ -71,7 +71,7 @@ def test_payload_is_carried_from_its_time_on(symbid_here, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--errors", "plate_gian"), "no systematic error 'plate_gian'; give typical or any of"),
+        (("--errors", "wrench_gian"), "no systematic error 'wrench_gian'; give typical or any of"),
         (("--friction-file", "absent.yaml"), "absent.yaml: cannot be read"),
         (("--error-seed", "-1"), "--error-seed"),
         (("--scenario", "dance"), "'dance' is not one of"),

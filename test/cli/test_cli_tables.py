@@ -48,10 +48,11 @@ def test_a_link_of_which_nothing_is_known_has_none(printed):
         assert any("base_link" in line for line in printed(**fields))
 
 
-def test_the_last_lines_show_rows_directions_alarms_and_files(printed):
-    assert printed()[-4:] == [
+def test_the_last_lines_show_rows_determined_parameters_alarms_and_files(printed):
+    assert printed()[-5:] == [
         "4321 rows of each coordinate, averaged over windows of 161 ms, condition 1e+03",
-        "2 of 20 directions determined, 62 bits gained",
+        "2 of 20 parameter combinations, 10 of 20 single parameters determined",
+        "62 bits of information gained",
         "no alarm",
         "wrote out/: estimate.json, model.xml",
     ]

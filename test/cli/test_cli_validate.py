@@ -63,7 +63,7 @@ def test_the_table_ends_with_a_verdict(symbid_here, ideal, found) -> None:
     assert verdict.endswith("on 6 s that were not used")
     for line in ("R_hfe", "base/force_z", "all joints", "total mass: ", "90 % interval"):
         assert line in ended.stdout
-    shown = re.search(r"the forces show (\S+) ± (\S+) kg, apart from a gain", ended.stdout)
+    shown = re.search(r"the forces show (\S+) ± (\S+) kg, if the sensors", ended.stdout)
     value, std = shown.groups()
     assert 0 < float(std) < 0.1
     assert len(value.partition(".")[2]) == len(std.partition(".")[2])

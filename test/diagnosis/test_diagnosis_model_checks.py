@@ -105,5 +105,5 @@ def test_a_log_that_tells_no_more_than_rest_is_a_warning(
     model_checks._check_excitation(checks, statistics, SimpleNamespace(left=None))
     assert [one.kind for one in checks.findings] == [Kind.EXCITATION] * is_found
     for one in checks.findings:
-        assert "3 would show in a log at rest as well" in one.message
+        assert "a log at rest would determine 3" in one.message
         assert ("turn the base" in one.message) == floating

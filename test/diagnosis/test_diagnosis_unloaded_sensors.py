@@ -94,10 +94,10 @@ def stepped(tmp_path_factory) -> tuple[sy.Log, np.ndarray]:
     """Two steps, one of each foot, and the true offsets of their plates as moment and force."""
     bag = tmp_path_factory.mktemp("stepped") / "bag"
     robot = Simulator(
-        SimulateOptions("stepping", moves=2, motion_seed=5, errors="plate_offset", error_seed=5)
+        SimulateOptions("stepping", moves=2, motion_seed=5, errors="wrench_offset", error_seed=5)
     )
     record(robot, bag)
-    force_first = robot.errors.plate_offset
+    force_first = robot.errors.wrench_offset
     return sy.load_bag(bag, load_model(config_file("symbitron.xml"))), np.roll(force_first, 3, 1)
 
 
@@ -107,8 +107,8 @@ def test_swings_tare_the_plates_of_a_stepping_robot(stepped) -> None:
     plain = load_problem(robot, log).checks
     offsets = [one for one in plain.findings if one.kind is Kind.WRENCH_OFFSET]
     assert sorted(one.stream for one in offsets) == ["/left_foot/wrench", "/right_foot/wrench"]
-    assert sum("plate_offset" in alarm for alarm in plain.alarms) == 2
-    problem = load_problem(robot, log, IdentifyOptions(sensor_errors=("plate_offset",)))
+    assert sum("wrench_offset" in alarm for alarm in plain.alarms) == 2
+    problem = load_problem(robot, log, IdentifyOptions(sensor_errors=("wrench_offset",)))
     assert not problem.checks.alarms
     for frame, expected in zip(("left_sole", "right_sole"), truth, strict=True):
         tare = problem.checks.tares[frame]

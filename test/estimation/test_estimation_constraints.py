@@ -115,7 +115,7 @@ def test_legs_that_are_not_mirror_images_are_not_tied():
     other = ParameterSet(replace(model, joints=tuple(moved)))
     # The thigh carries that knee, so that neither half is the other's image.
     assert mirror_pairs(other) == ()
-    with pytest.raises(EstimateError, match="leave left/right tying out"):
+    with pytest.raises(EstimateError, match="leave `mirror` out"):
         mirror_rows(other, np.ones(len(other)), 0.1)
     swapped = ParameterSet(mirrored_robot(rng, left="first", right="second"))
     assert mirror_pairs(swapped) == ()

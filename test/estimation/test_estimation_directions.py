@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import eigh
 
 from symbid_ros.errors import EstimateError, PriorError
-from symbid_ros.estimation.directions import determined_directions
+from symbid_ros.estimation.directions import DETERMINED, count_determined, determined_directions
 from symbid_ros.model.inertia import PARAMETERS
 
 NAMES = (
@@ -66,6 +66,8 @@ def test_gain_is_the_ratio_of_determinants_and_the_counts_agree(seed, rows):
     assert found.effective == pytest.approx(resolution, abs=1e-8)
     assert np.sum(found.determined) <= found.effective / (1 - found.threshold**2) + 1e-9
     assert np.sum(found.determined) <= rows
+    same = compare(prior, posterior, DETERMINED).determined
+    assert count_determined(prior, posterior) == np.sum(same)
 
 
 @few

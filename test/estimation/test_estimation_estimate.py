@@ -25,7 +25,7 @@ VERDICT = Verdict(
     link_gain={"base": 5.0, "leg": 2.5},
     directions=("base/m", "leg/m"),
     base=(EstimatedQuantity("base/m + leg/m", "kg", 3.0, 0.1, True),),
-    sensors=(EstimatedQuantity("sole/plate_offset", "N", -1.0, 2.0, False),),
+    sensors=(EstimatedQuantity("sole/wrench_offset", "N", -1.0, 2.0, False),),
     unexplained=(UnexplainedForce("knee", "Nm", 3.0, 80.0, 0.0375),),
 )
 ESTIMATE = Estimate(
@@ -207,7 +207,7 @@ def test_a_fixed_base_is_not_asked_for_its_total_mass() -> None:
 
 def test_a_weighing_that_does_not_check_the_scale_says_how_uncertain_it_is() -> None:
     verdict = replace(VERDICT, mass_scale=0.01, weighing_std=0.5, sensors=())
-    assert "weighing with a deviation of 0.5 kg" in verdict.describe_mass_scale()
+    assert "weighing with a standard deviation of 0.5 kg" in verdict.describe_mass_scale()
     assert "give `total_mass`," not in verdict.describe_mass_scale()
     alarm = "the weighing of 30.00 ± 0.1 kg contradicts the data, which say 41.07 ± 0.2 kg"
     assert replace(verdict, alarms=(alarm,)).describe_mass_scale() == ""

@@ -115,5 +115,5 @@ def test_the_common_gain_is_a_further_unknown(weighed, std) -> None:
 def test_a_prior_that_the_data_widened_a_hundredfold_is_named_by_its_factor() -> None:
     found = replace(Case(4).posterior(), is_scaled=True, chosen_scale=97.0)
     (alarm,) = alarms_of(found)
-    assert "widened the prior of the inertias 97.0 times" in alarm
+    assert "widened the prior of the inertias by a factor of 97.0" in alarm
     assert alarms_of(replace(found, chosen_scale=0.99 * SUSPICIOUS_MODEL_SCALE)) == ()

@@ -88,7 +88,7 @@ def test_impossible_and_incomplete_models_are_refused(candidate):
     unknown = replace(candidate, std=np.full_like(candidate.std, np.nan))
     gate = ModelGate()
     assert gate.is_news(unknown)
-    assert refusal(gate, unknown) == "parameters or deviations are missing"
+    assert refusal(gate, unknown) == "parameters or standard deviations are missing"
     assert gate.is_news(candidate)
 
 

@@ -165,7 +165,7 @@ def test_alarms_are_raised_only_beyond_their_thresholds(judged):
     assert alarms_of(judged, whiteness=below * SUSPICIOUS_WHITENESS, **calm) == ()
     (white,) = alarms_of(judged, whiteness=above * SUSPICIOUS_WHITENESS, **calm)
     assert f"whiteness {SUSPICIOUS_WHITENESS:.1f}" in white
-    assert "identify a bag" in white
+    assert "record a bag" in white
     small, large = (UnexplainedForce("knee", "Nm", 4.0, 80.0, share * SMALL) for share in (0.9, 5))
     assert alarms_of(judged, whiteness=2.0, unexplained=(small,), **calm) == ()
     (sized,) = alarms_of(judged, whiteness=2.0, unexplained=(large, small), **calm)

@@ -79,7 +79,7 @@ class TestTare:
         assert set(tares) == set(SOLES)
         for index, sole in enumerate(SOLES):
             tare = tares[sole]
-            offset = wrong.plate_offset[index, [3, 4, 5, 0, 1, 2]]
+            offset = wrong.wrench_offset[index, [3, 4, 5, 0, 1, 2]]
             # A second of white noise: 0.1 Nm and 1 N over a thousand readings.
             np.testing.assert_allclose(tare.std, np.repeat([0.1, 1.0], 3) / 1000**0.5, rtol=0.1)
             assert np.all(np.abs(tare.mean - offset) < 5 * tare.std)
@@ -88,7 +88,7 @@ class TestTare:
         assert "/suspension/wrench reads 403 N, so it is loaded" in warning
 
     def test_a_tare_needs_an_unloaded_sensor(self, folder, wrong):
-        assert wrong.plate_offset.any()
+        assert wrong.wrench_offset.any()
         with pytest.raises(DataError, match="no unloaded wrench sensor"):
             read_tare(bag_log([folder / "log"]))
 
@@ -112,9 +112,9 @@ def drawn(errors, wrong):
     """Return θ (r,) of the simulator's errors."""
     moment_first = [3, 4, 5, 0, 1, 2]
     content = {
-        "plate_offset": wrong.plate_offset[:, moment_first],
-        "plate_gain": wrong.plate_gain[:, moment_first],
-        "plate_pose": wrong.plate_pose,
+        "wrench_offset": wrong.wrench_offset[:, moment_first],
+        "wrench_gain": wrong.wrench_gain[:, moment_first],
+        "wrench_position": wrong.wrench_position,
         "torque_gain": wrong.torque_gain[errors.driven],
         "imu_mounting": wrong.imu_mounting,
         "imu_bias": np.zeros(6),
@@ -188,7 +188,7 @@ class TestCure:
 
 
 def test_filtered_rows_do_not_support_sensor_errors(folder, wrong):
-    assert wrong.plate_gain.any()
+    assert wrong.wrench_gain.any()
     with pytest.raises(OptionError, match="sensor errors need rows averaged over windows"):
         IdentifyOptions(sensor_errors=("torque_gain",), filter="butterworth")
 
@@ -205,7 +205,7 @@ def test_sensors_of_any_tree_are_calibrated(seed, floating):
     levels = {"position": 1e-5, "rate": 2e-3, "acceleration": 0.02, "effort": 0.05, "wrench": 0.3}
     segment = noisy(spoilt(perfect, errors, theta), rng, **levels)
     log = dataset_of(parameters, [segment])
-    offset = errors.of_kind("plate_offset", theta)[0]
+    offset = errors.of_kind("wrench_offset", theta)[0]
     tare = {errors.wrench_frames[0]: Tare(offset, np.repeat([1e-3, 1e-2], 3))}
     prior = draw_prior(parameters, "percent", 25, seed)
     found = calibrate(Problem((), parameters, prior), log, SensorErrorRequest(TYPICAL_ERRORS, tare))
@@ -213,10 +213,10 @@ def test_sensors_of_any_tree_are_calibrated(seed, floating):
     p = len(parameters)
     assert found.sensor_names == errors.names
     # Prior of a tared sensor: the tare's standard deviation; of others: that of a data sheet.
-    place = errors.places["plate_offset"]
+    place = errors.places["wrench_offset"]
     np.testing.assert_array_equal(found.prior.std[p:][place][:6], tare[errors.wrench_frames[0]].std)
     np.testing.assert_array_equal(found.prior.mean[p:][place][:6], offset)
-    np.testing.assert_array_equal(found.prior.std[p:][place][6:12], DEVIATIONS["plate_offset"])
+    np.testing.assert_array_equal(found.prior.std[p:][place][6:12], DEVIATIONS["wrench_offset"])
     assert [one.window for one in found.observations][-1] == max(WINDOWS)
     after = posterior(found.observations[-1], found.prior, count=p)
     z = (after.mean - np.concatenate([parameters.values, theta])) / after.std

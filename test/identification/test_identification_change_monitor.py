@@ -75,7 +75,7 @@ def test_an_alarm_names_both_links_if_they_move_alike() -> None:
     on_parent = LinkChange("L_haa", 905.0, 910.0, np.array([2.0, 0.3, 0.0, 0.36, *[0.0] * 6]), std)
     on_child = LinkChange("L_thigh", 900.0, 909.0, np.array([2.0, *[0.0] * 9]), std)
     assert str(Change(14_000_000_000, (on_parent, on_child))) == (
-        "L_haa or L_thigh has changed since 14.0 s, the motion does not tell which: "
+        "L_haa or L_thigh has changed since 14.0 s, the motion does not show which: "
         "+2.00 ± 0.01 kg at (0.15, 0.00, 0.18) m on L_haa, "
         "+2.00 ± 0.01 kg at (0.00, 0.00, 0.00) m on L_thigh"
     )

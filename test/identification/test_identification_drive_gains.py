@@ -51,7 +51,7 @@ def test_signs_and_ratios_of_factors_need_no_calibrated_joint(model, currents):
     relative = factors(result) / FACTORS
     np.testing.assert_allclose(relative / relative[0], 1.0, rtol=2e-3)
     assert 0.75 < relative[0] < 1.25
-    assert any("leaves the common scale" in one for one in result.estimate.remarks)
+    assert any("does not show the common scale" in one for one in result.estimate.remarks)
     assert result.estimate.holdout.percent_after < 0.5
 
 

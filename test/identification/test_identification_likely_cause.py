@@ -13,7 +13,7 @@ import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Finding, Kind
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS
+from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS, Alarm
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.log_checks import LogChecks
 from symbid_ros.identification.options import IdentifyOptions
@@ -129,7 +129,7 @@ def test_an_alarm_names_the_cause_and_what_would_remain(robot, name):
     assert said, alarm
     if fault.size is not None:
         assert float(said[1]) == pytest.approx(fault.size, rel=0.1)
-    assert ("which would leave" in alarm) == (name != "strange")
+    assert ("remain unexplained" in alarm) == (name != "strange")
     assert "\n" not in alarm
 
 
@@ -151,7 +151,7 @@ def test_efforts_in_another_unit_are_the_one_cause_of_correlated_residuals(robot
     (units,) = [one for one in alarms if "times what the motion implies" in one]
     assert "effort of joint_0 reads" in units
     (coloured,) = [one for one in alarms if "white noise" in one]
-    assert "the factors of the efforts that another alarm names" in coloured
+    assert "the wrong factors of efforts in another alarm" in coloured
     assert "none of these" not in coloured
 
 
@@ -194,7 +194,11 @@ def test_friction_that_would_drive_a_joint_shows_the_sign_of_its_effort(robot):
 def test_an_effort_that_is_not_predicted_at_all_raises_an_alarm(robot, change):
     """With factors of other joints, signs are not looked for."""
     found = identify(robot, Fault("", change=change, options={"drive_gain": ("joint_0",)}))
-    alarms = [one for one in found.alarms if one.startswith("nothing of the effort of joint_2")]
+    alarms = [
+        one
+        for one in found.alarms
+        if one.startswith("the model does not predict the effort of joint_2")
+    ]
     assert len(alarms) == (change is opposed)
     assert all("`flip_joint` joint_2, or `effort_scale` joint_2:=-1" in one for one in alarms)
 
@@ -208,7 +212,7 @@ def test_friction_that_a_short_log_cannot_judge_raises_an_alarm(robot):
         alarms = [one for one in found.alarms if "friction of" in one]
         assert len(alarms) == is_short
         assert all("unexplained" in one and "record longer" in one for one in alarms)
-        assert not any("nothing of the effort" in one for one in found.alarms)
+        assert not any(Alarm.UNPREDICTED_EFFORT in one for one in found.alarms)
 
 
 def backwards(_, position, effort):
@@ -293,7 +297,7 @@ def test_a_weighing_that_contradicts_the_data_is_the_cause_of_the_other_alarms(q
     first, second = identify_standing(quadruped, standing, total_mass=1.05 * mass, **weighed)
     assert "the weighing of" in first
     assert "the residuals are not white noise" in second
-    assert "the weighing, which contradicts the data according to another alarm" in second
+    assert "the wrong weighing or gain in another alarm" in second
 
 
 def test_a_support_without_a_sensor_is_a_likely_cause(quadruped, standing):

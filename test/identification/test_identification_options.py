@@ -29,7 +29,7 @@ NAMES = {each.name for kind in (IdentifyOptions, LogOptions) for each in options
         ({"friction": "yes"}, ["friction"]),
         ({"sensor_std": (1.0, 2.0), "method": "ols"}, ["sensor_std"]),
         ({"window": 0.0}, ["window"]),
-        ({"sensor_errors": "plate_gain,encoder"}, ["sensor_errors"]),
+        ({"sensor_errors": "wrench_gain,encoder"}, ["sensor_errors"]),
         ({"sensor_errors": " ,"}, ["sensor_errors"]),
         ({"prior": "p.json", "prior_percent": 25}, ["prior", "prior_percent"]),
         ({"total_mass_std": 0.1}, ["total_mass_std", "total_mass"]),
@@ -90,8 +90,8 @@ def test_sensor_errors_are_named_or_all() -> None:
     assert IdentifyOptions(tare="bag").sensor_error_kinds == TYPICAL_ERRORS
     assert IdentifyOptions(sensor_errors="typical").sensor_error_kinds == TYPICAL_ERRORS
     assert IdentifyOptions(sensor_errors="none").sensor_error_kinds == ()
-    named = IdentifyOptions(sensor_errors=(" torque_gain, plate_offset,",), tare="bag")
-    assert named.sensor_error_kinds == ("plate_offset", "torque_gain")
+    named = IdentifyOptions(sensor_errors=(" torque_gain, wrench_offset,",), tare="bag")
+    assert named.sensor_error_kinds == ("wrench_offset", "torque_gain")
 
 
 def test_terms_follow_from_three_options() -> None:

@@ -54,7 +54,7 @@ def drifting(segment, errors, possible, changes):
     knots = np.vstack([np.zeros(len(possible.places)), changes])
     for column, place in enumerate(possible.places):
         now[:, place] = np.interp(segment.stamp, possible.knots, knots[:, column])
-    offset = now[:, errors.places["plate_offset"]].reshape(segment.wrenches.shape)
+    offset = now[:, errors.places["wrench_offset"]].reshape(segment.wrenches.shape)
     bias = now[:, errors.places["imu_bias"]].reshape(len(segment), -1, 6)
     return replace(
         segment,
@@ -200,7 +200,7 @@ def test_predictions_use_the_values_at_the_end(found, parameters, errors, possib
 
     assert error(predictor.unknowns) < 0.1 * error(at_start)
     said = identified.estimate.verdict.describe_drift()
-    assert re.match(r"12 sensor errors drift, wrench_\d/plate_offset_force_. most clearly: ", said)
+    assert re.match(r"12 sensor errors drift, most clearly wrench_\d/wrench_offset_force_.: ", said)
     # Saved results are read again by these shapes.
     assert identified.calibration.factor.shape[0] == len(predictor.sensor_names)
     assert len(identified.calibration.linearization) == len(identified.unknowns)

@@ -29,5 +29,5 @@ def test_noise_is_no_evidence_against_the_true_robot(simulated, is_ideal, caplog
 
 
 def test_errors_of_force_sensors_are_not_noise(simulated, caplog) -> None:
-    bag = simulated("smooth", moves=1, motion_seed=22, ideal=True, errors="plate_gain")
+    bag = simulated("smooth", moves=1, motion_seed=22, ideal=True, errors="wrench_gain")
     assert "the bag has a payload or sensor errors" in warnings_about(ROBOT, bag, caplog)

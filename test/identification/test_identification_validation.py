@@ -240,7 +240,7 @@ def test_a_log_in_other_units_has_no_use_for_the_model(arm) -> None:
     found = sy.validate(result, light)
     assert found.percent_before > found.percent_after > 100
     assert (found.advice, found.is_better) == ("unfit", False)
-    assert found.verdict.startswith("do not use it, it errs by more than was measured")
+    assert found.verdict.startswith("do not use it, its error is larger than the measured forces")
 
 
 def test_a_model_that_was_right_hardly_differs(arm) -> None:
@@ -438,7 +438,7 @@ def test_results_of_different_robots_are_not_compared(arm, walker) -> None:
 
 
 def test_a_log_of_other_sensors_is_refused(walker) -> None:
-    result = walker.identified(sensor_errors="plate_offset")
+    result = walker.identified(sensor_errors="wrench_offset")
     streams = random_streams(walker.robot, LogPlan(250.0, 3000), HELD_OUT)
     wrench, *others = streams.wrenches
     log = sy.Log.from_streams(

@@ -72,7 +72,7 @@ def test_selected_topics_are_those_that_may_be_selected() -> None:
 @pytest.mark.parametrize(
     ("options", "advice"),
     [
-        ({"drive_topic": ("/nosuch",)}, "such as `drive_topic` /camera/imu$"),
+        ({"wheel_topic": ("/nosuch",)}, "such as `wheel_topic` /camera/imu$"),
         ({"pose_topic": ("/nosuch",)}, "or leave `pose_topic` out$"),
         (
             {"imu_topic": ("/tf",), "of_robot": ("imu_topic",)},

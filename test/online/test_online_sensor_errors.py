@@ -149,7 +149,7 @@ def test_a_tare_is_a_prior_and_discards_data_that_contradict_it(tares, feed) -> 
     feed.between(0.0, 5.0).into(live, solving=1.0)
     assert "agree" in live.set_tares(tares)
     prior = live._problem.prior
-    places = [prior.names.index(f"left_sole/plate_offset_force_{axis}") for axis in "xyz"]
+    places = [prior.names.index(f"left_sole/wrench_offset_force_{axis}") for axis in "xyz"]
     np.testing.assert_array_equal(prior.mean[places], tares["left_sole"].mean[3:])
     np.testing.assert_allclose(prior.std[places], tares["left_sole"].std[3:])
     feed.between(5.0, 8.0).into(live, solving=1.0)

@@ -73,7 +73,7 @@ class TestAlarms:
         page = Page(render(content_with_verdict()))
         text = text_of(page)
         assert "no data were held out; no alarm." in text
-        assert "2 of 30 parameter combinations were measured" in text
+        assert "The data determine 2 of 30 parameter combinations" in text
         assert "alarms" not in page.attributes("class")
 
     def test_a_method_without_verdict_has_no_summary(self) -> None:
@@ -121,9 +121,9 @@ class TestDataSummary:
     def test_numbers_are_those_of_the_verdict(self) -> None:
         text = text_of(self.page)
         assert "4321 rows of each coordinate, averaged over windows of 161 ms" in text
-        assert "14.2 of 30 sum over all combinations" in text
+        assert "14.2 of 30 sum, over all combinations," in text
         assert "61.5 bits gained in total" in text
-        assert "3.00 % of the apparent information about the worst direction" in text
+        assert "3.00 % of the apparent information about the combination with most noise" in text
 
     def test_rows_at_single_instants_are_described(self) -> None:
         entries = verdict_entries(content_with_verdict(window=0.0, whiteness=0.0).estimate)
@@ -145,11 +145,11 @@ class TestDataSummary:
         base = self.page.row("base_link/m + link_0/m − 0.5·link_1/mc_x")
         assert base[1:] == ["41.04740 ± 0.00093", "kg", "yes"]
         assert self.page.row("link_1/Ixx")[1:] == ["−0.0182 ± 0.0030", "kg m²", "no"]
-        offset = self.page.row("left_sole/plate_offset_force_x")
+        offset = self.page.row("left_sole/wrench_offset_force_x")
         assert offset[1:] == ["−1.875 ± 0.013", "N", "yes"]
         assert self.page.row("knee/torque_gain")[1:] == ["0.0148 ± 0.0072", "relative", "no"]
         text = text_of(self.page)
-        assert "Base parameters the 2 combinations on which forces depend" in text
+        assert "Base parameters the 2 combinations that all forces depend on" in text
         assert "Sensor errors 1 of 2 determined" in text
 
     def test_without_sensor_errors_their_table_is_absent(self) -> None:
@@ -158,7 +158,7 @@ class TestDataSummary:
     def test_directions_keep_coefficient_and_parameter_on_one_line(self) -> None:
         directions = [text for text in self.page.text if "base_link/m" in text and "0.72" in text]
         assert directions == ["+0.72\xa0base_link/m −0.37\xa0link_0/mc_x"]
-        assert "Measured combinations 2 of 30, best first" in text_of(self.page)
+        assert "Determined combinations 2 of 30, best first" in text_of(self.page)
 
 
 @pytest.fixture(scope="class")

@@ -59,8 +59,12 @@ class TestRecommendation:
                 "The data held out are too few to tell whether this model is better: ",
             ),
             ("worse", "bad", "Do not use this model, it is worse than the original: "),
-            ("mixed", "bad", "Do not use this model, it is partly worse: "),
-            ("unfit", "bad", "Do not use this model, it errs by more than was measured: "),
+            ("mixed", "bad", "Do not use this model, it is partly worse than the original: "),
+            (
+                "unfit",
+                "bad",
+                "Do not use this model, its error is larger than the measured forces: ",
+            ),
         ],
     )
     def test_follows_the_advice_on_held_out_data(self, advice, kind, start):
@@ -77,11 +81,13 @@ class TestRecommendation:
         files = {"model.urdf": 4.5, "model.xml": 1.21}
         remark = recommend(estimate(file_percents=files)).remark
         assert (
-            "model.urdf alone errs by 4.5 %: it cannot hold all joint terms; model.xml can"
+            "error of model.urdf alone 4.5 %: it cannot contain all joint terms; model.xml can"
             in remark
         )
         both = recommend(estimate(file_percents={"model.urdf": 4.5, "model.xml": 3.0})).remark
-        assert "by 4.5 %, model.xml alone errs by 3 %: they cannot hold all joint terms" in both
+        assert (
+            "alone 4.5 %, error of model.xml alone 3 %: they cannot contain all joint terms" in both
+        )
         for small in (1.2, 0.1):
             files = {"model.urdf": small, "model.xml": 1.2}
             assert not recommend(estimate(file_percents=files)).remark
@@ -212,7 +218,7 @@ def test_the_robust_maximum_ignores_few_large_values():
 
 def test_key_figures_name_what_was_measured_and_what_the_doctor_found():
     figures = {one.title: one for one in key_figures(content_of_a_log(4))}
-    assert figures["Measured"].value == "2 of 50"
+    assert figures["Determined"].value == "2 of 50"
     assert figures["Log"].value == "39.0 s used"
     assert figures["Log"].note == "walk_bag; the doctor found 1 fault"
 

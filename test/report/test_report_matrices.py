@@ -2,6 +2,7 @@
 
 import base64
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,6 +61,17 @@ def test_largest_changes_are_in_deviations_of_the_original():
     sizes = [float(one.deviations.replace("−", "-")) for one in found]
     assert sizes == pytest.approx(np.sort(change)[::-1][: len(found)], abs=0.051)
     assert largest_changes(estimate, None) == ()
+
+
+def test_changes_of_links_come_before_larger_ones_of_joint_terms():
+    estimate = content_of_a_log(2).estimate
+    names = (*estimate.names[:-1], "elbow/armature")
+    estimate = replace(estimate, names=names)
+    prior_std = np.full(len(names), 0.05)
+    prior_std[-1] = 1e-6
+    found = [one.name for one in largest_changes(estimate, prior_std)]
+    assert found.count("elbow/armature") == 1
+    assert found[-1] == "elbow/armature"
 
 
 def test_names_beside_the_correlations_of_a_large_robot_have_room():

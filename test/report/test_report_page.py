@@ -236,12 +236,12 @@ def test_errors_of_each_joint_are_compared_on_the_same_data_only() -> None:
 def test_the_caption_explains_gaps_between_blocks() -> None:
     base = content_of_a_log(2)
     forces = base.shown.log.forces
-    assert "gap at the end of each block" not in render(base)
+    assert "short gaps in the curves are normal" not in render(base)
     time = np.where(forces.time >= 24, forces.time + 0.4, forces.time)
     log = replace(base.shown.log, forces=replace(forces, time=time, stop=40.4))
     used = np.array([[0.0, 41.0]])
     one = replace(base.shown, log=replace(log, coverage=replace(log.coverage, used=used)))
-    assert "gap at the end of each block" in render(replace(base, methods=(one,)))
+    assert "short gaps in the curves are normal" in render(replace(base, methods=(one,)))
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def test_a_wheeled_base_is_left_out_while_it_drives(graph, tmp_path: Path, kind:
     bag = write_bag(streams, tmp_path / "bag", [("/base/motion", kind, stamp, records)])
     topics = {"/joint_states": JointState, "/base/motion": Odometry if kind == ODOMETRY else Imu}
     robot = load_model(urdf, "fixed")
-    log = load_bag(bag, robot, drive_topic=("/base/motion",))
+    log = load_bag(bag, robot, wheel_topic=("/base/motion",))
     found = identify(robot, log, joint_terms=("none",), window=0.321, no_holdout=True)
     found.save(tmp_path / "offline")
     live = tmp_path / "live"
@@ -149,7 +149,7 @@ def test_a_wheeled_base_is_left_out_while_it_drives(graph, tmp_path: Path, kind:
         lambda: are_same(live, tmp_path / "offline"),
         model=urdf,
         base="fixed",
-        drive_topic="/base/motion",
+        wheel_topic="/base/motion",
     )
     assert set(ended["received"]) == {"/joint_states", "/base/motion"}
     ((begin, end),) = log.streams().driving

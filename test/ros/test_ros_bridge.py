@@ -274,7 +274,7 @@ def test_a_payload_given_at_the_start_is_attached_at_its_time(graph, tmp_path: P
             {"command_source": "udp", "udp_host": "192.0.2.1"},
             "udp 192.0.2.1:5005: cannot listen",
         ),
-        ({"errors": "rust"}, "no systematic error 'rust'; give typical or any of plate_gain, "),
+        ({"errors": "rust"}, "no systematic error 'rust'; give typical or any of wrench_gain, "),
         ({"friction_file": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read"),
     ],
 )

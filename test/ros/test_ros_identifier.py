@@ -164,7 +164,7 @@ def test_every_option_gives_the_same_result_as_the_command(graph, tmp_path: Path
         tmp_path,
         tmp_path / "bag",
         tare=[tmp_path / "tare"],
-        sensor_errors="plate_offset, torque_gain",
+        sensor_errors="wrench_offset, torque_gain",
         total_mass=41.05,
         total_mass_std=0.02,
         prior_percent=20.0,
@@ -174,7 +174,7 @@ def test_every_option_gives_the_same_result_as_the_command(graph, tmp_path: Path
     )
     assert str(tmp_path / "tare") in document["inputs"]
     kinds = {sensor["name"].split("/")[1] for sensor in document["verdict"]["sensors"]}
-    assert {kind.split("_")[0] for kind in kinds} == {"plate", "torque"}
+    assert {kind.split("_")[0] for kind in kinds} == {"wrench", "torque"}
     assert document["parameters"]["L_kfe/offset"]["determined"]
 
 
@@ -204,7 +204,7 @@ def test_a_truncated_method_on_filtered_rows_is_the_same_from_both(
     ("parameters", "says"),
     [
         ({"total_mass": -41.0}, "parameter total_mass: -41.0 is not valid"),
-        ({"sensor_errors": "plate_offse"}, "parameter sensor_errors: 'plate_offse'"),
+        ({"sensor_errors": "wrench_offse"}, "parameter sensor_errors: 'wrench_offse'"),
         ({"rank": 5, "choose_truncation": "log"}, "both choose the singular values"),
         ({"filter": "weak", "window": -1.0}, "parameter window"),
     ],

@@ -160,7 +160,7 @@ class TestPage:
         assert trunk[1:3] == ["12.00 ± 0.12", x]
         assert trunk[5:] == ["7", "2.0", "3.0"]
         assert cells(lines, "leg")[5:] == ["0", "2.0", "—"]
-        assert "7 of 20 parameters determined by the data" in lines
+        assert "7 of 20 single parameters determined" in lines
 
     def test_time_is_shown_in_the_robots_clock(self) -> None:
         leg = link("leg", LEG, STD)
@@ -296,7 +296,7 @@ class TestProcess:
         shown = [line for line in lines if line.startswith("data to")]
         assert shown
         assert len(shown) == len(set(shown))
-        assert all("20 of 20 parameters determined by the data" in line for line in shown)
+        assert all("20 of 20 single parameters determined" in line for line in shown)
         assert all("14.000 kg in total" in line for line in shown)
         assert cells(lines, "base_link")[1].startswith("12.0")
         # The true model has no link named leg.

@@ -55,7 +55,7 @@ def test_sensor_errors_are_estimated_after_a_tare(graph, simulated) -> None:
     assert call(graph, Trigger, "/identifier/reset").success
     graph.start("player", bag=f"['{moving}']", **player)
     graph.wait_until(lambda: "sensors" in probe.statuses)
-    offset = "left_sole/plate_offset_force_z"
+    offset = "left_sole/wrench_offset_force_z"
     assert float(probe.values("sensors")[f"{offset}/std"]) < 0.1  # by the tare
     live.send(signal.SIGINT)
     assert live.ended().status == 0

@@ -80,7 +80,7 @@ def test_a_bag_with_an_imu_on_the_base_leaves_out_its_driving_times(arm, streams
     rate, force = imu_on_base(stamp)
     fill_message(records, stamp, angular_velocity=rate, linear_acceleration=force)
     bag = write_bag(streams, tmp_path / "bag", [("/base/imu", IMU, stamp, records)])
-    log = load_bag(bag, arm, drive_topic=("/base/imu",))
+    log = load_bag(bag, arm, wheel_topic=("/base/imu",))
     assert log.streams().imus == ()
     ends = [1e-9 * one.stamp[[0, -1]] for one in segments_of(log, arm)]
     parked = np.concatenate([[0.0], LEFT_OUT.ravel(), [15.0]]).reshape(-1, 2)
@@ -103,7 +103,7 @@ def test_arrays_and_bags_leave_out_the_same_times(arm, streams, tmp_path):
     fill_stamp(records, joints.stamp)
     records["twist.twist.linear"][...] = 0.2 * driving[:, None] * [1, 0, 0]
     bag = write_bag(streams, tmp_path / "bag", [("/odom", ODOMETRY, joints.stamp, records)])
-    recorded = segments_of(load_bag(bag, arm, drive_topic=("/odom",)), arm)
+    recorded = segments_of(load_bag(bag, arm, wheel_topic=("/odom",)), arm)
     assert [len(one) for one in recorded] == [len(first), len(second)]
     np.testing.assert_allclose(recorded[1].position, second.position, atol=1e-9)
     (whole,) = segments_of(load_bag(bag, arm), arm)

@@ -106,7 +106,7 @@ def test_the_structure_covers_every_affected_coordinate(robot):
     # Plates load only the joints between them and the base.
     model = parameters.model
     for frame in errors.wrench_frames:
-        columns = [i for i, name in enumerate(errors.names) if name.startswith(f"{frame}/plate")]
+        columns = [i for i, name in enumerate(errors.names) if name.startswith(f"{frame}/wrench")]
         carried = model.ancestors[:, model.frame(frame).link]
         first = 6 * model.floating
         np.testing.assert_array_equal(reach[first:, columns].any(axis=1), carried)
@@ -129,7 +129,7 @@ def test_names_units_deviations_and_places_agree(robot):
         place = errors.places[kind]
         assert place.start == end
         end = place.stop
-        sensors = readings.wrench_frames if kind.startswith("plate") else readings.imu_frames
+        sensors = readings.wrench_frames if kind.startswith("wrench") else readings.imu_frames
         if kind == "sensor_delay":
             sensors = (*readings.imu_frames, *readings.wrench_frames, "efforts")
         if kind == "frame_pose":
@@ -141,7 +141,7 @@ def test_names_units_deviations_and_places_agree(robot):
         assert all(name.partition("/")[2].startswith(kind) for name in names)
         # Wrench sensors turn and IMUs move.
         meant = [
-            "plate_pose" if kind == "frame_pose" and owner in readings.imu_frames else kind
+            "wrench_position" if kind == "frame_pose" and owner in readings.imu_frames else kind
             for owner in owned
         ]
         assert errors.units[place] == sum((UNITS[one] for one in meant), ())
@@ -158,7 +158,7 @@ def test_moments_come_before_forces_and_gyroscopes_before_accelerometers():
     errors = all_errors(parameters, exact_readings(parameters, 1, 0))
     frame = errors.wrench_frames[0]
     assert errors.names[:6] == tuple(
-        f"{frame}/plate_offset_{part}_{axis}" for part in ("moment", "force") for axis in "xyz"
+        f"{frame}/wrench_offset_{part}_{axis}" for part in ("moment", "force") for axis in "xyz"
     )
     start = errors.places["imu_bias"].start
     assert errors.names[start] == "imu_link/imu_bias_gyroscope_x"
@@ -206,9 +206,9 @@ def test_the_simulators_errors_are_undone_to_the_last_digit(kind, perfect):
     # The simulator writes wrenches as messages do, force first.
     moment_first = [3, 4, 5, 0, 1, 2]
     theta = np.zeros(len(errors))
-    theta[errors.places["plate_offset"]] = drawn.plate_offset[:, moment_first].ravel()
-    theta[errors.places["plate_gain"]] = drawn.plate_gain[:, moment_first].ravel()
-    theta[errors.places["plate_pose"]] = drawn.plate_pose.ravel()
+    theta[errors.places["wrench_offset"]] = drawn.wrench_offset[:, moment_first].ravel()
+    theta[errors.places["wrench_gain"]] = drawn.wrench_gain[:, moment_first].ravel()
+    theta[errors.places["wrench_position"]] = drawn.wrench_position.ravel()
     theta[errors.places["torque_gain"]] = drawn.torque_gain[errors.driven]
     theta[errors.places["imu_mounting"]] = drawn.imu_mounting
     theta[errors.places["encoder_offset"]] = drawn.encoder_offset
@@ -216,7 +216,7 @@ def test_the_simulators_errors_are_undone_to_the_last_digit(kind, perfect):
     mended = errors.corrected(wrong, theta)
     assert_same(mended, perfect)
     assert np.any(np.abs(mended.wrenches - wrong.wrenches) > 1e-3) == (
-        kind == "typical" or kind.startswith("plate")
+        kind == "typical" or kind.startswith("wrench")
     )
     assert_same(errors.corrected(perfect, np.zeros(len(errors))), perfect)
 
@@ -297,7 +297,7 @@ def test_noise_in_the_columns_of_gains_is_known():
     parameters = ParameterSet(random_robot(2, links=3))
     readings = exact_readings(parameters, 1300, 7)
     segment = segment_of(readings, 1e9 / PERIOD_NS)
-    kinds = ("plate_gain", "torque_gain")
+    kinds = ("wrench_gain", "torque_gain")
     errors = SensorErrors.of(kinds, parameters.model, segment.wrench_frames, segment.imu_frames)
     p, truth = len(parameters), np.append(parameters.values, np.zeros(len(errors)))
     build = CalibratingRows(

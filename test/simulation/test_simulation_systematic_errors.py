@@ -104,19 +104,19 @@ def test_imu_has_a_mounting_error(perfect):
 
 
 def test_plates_have_gains_on_every_channel(perfect):
-    errors, readings = instants("plate_gain", ideal=True)
+    errors, readings = instants("wrench_gain", ideal=True)
     gain = readings["wrenches"] / perfect["wrenches"] - 1
-    np.testing.assert_allclose(gain, np.tile(errors.plate_gain, (STEPS, 1, 1)), atol=1e-12)
-    assert between(errors.plate_gain, 0.0025, 0.0075)
+    np.testing.assert_allclose(gain, np.tile(errors.wrench_gain, (STEPS, 1, 1)), atol=1e-12)
+    assert between(errors.wrench_gain, 0.0025, 0.0075)
     unchanged(readings, perfect, *others("wrenches"))
 
 
 def test_plates_have_offsets(perfect):
-    errors, readings = instants("plate_offset", ideal=True)
+    errors, readings = instants("wrench_offset", ideal=True)
     offset = readings["wrenches"] - perfect["wrenches"]
-    np.testing.assert_allclose(offset, np.tile(errors.plate_offset, (STEPS, 1, 1)), atol=1e-12)
-    assert between(errors.plate_offset[:, :3], 1.0, 2.0)
-    assert between(errors.plate_offset[:, 3:], 0.1, 0.2)
+    np.testing.assert_allclose(offset, np.tile(errors.wrench_offset, (STEPS, 1, 1)), atol=1e-12)
+    assert between(errors.wrench_offset[:, :3], 1.0, 2.0)
+    assert between(errors.wrench_offset[:, 3:], 0.1, 0.2)
     unchanged(readings, perfect, *others("wrenches"))
 
 
@@ -148,12 +148,12 @@ def test_drift_is_a_random_walk_from_minute_to_minute():
 
 
 def test_plates_are_displaced(perfect):
-    errors, readings = instants("plate_pose", ideal=True)
-    assert between(np.linalg.norm(errors.plate_pose, axis=1), 1e-3, 3e-3)
+    errors, readings = instants("wrench_position", ideal=True)
+    assert between(np.linalg.norm(errors.wrench_position, axis=1), 1e-3, 3e-3)
     force, moment = np.split(readings["wrenches"], 2, axis=2)
     np.testing.assert_array_equal(force, perfect["wrenches"][..., :3])
     # The moment about the frame's origin includes that of the force at the displaced point.
-    restored = moment + np.cross(errors.plate_pose, force)
+    restored = moment + np.cross(errors.wrench_position, force)
     np.testing.assert_allclose(restored, perfect["wrenches"][..., 3:], atol=1e-12)
     assert np.abs(moment - restored).max() > 0.05
     unchanged(readings, perfect, *others("wrenches"))
@@ -278,8 +278,8 @@ def test_noise_is_added_and_does_not_depend_on_errors(perfect, typical):
 def test_displacement_and_gain_precede_the_offset(perfect, typical):
     errors, readings = typical
     force, moment = np.split(perfect["wrenches"], 2, axis=2)
-    about = np.concatenate([force, moment - np.cross(errors.plate_pose, force)], axis=2)
-    expected = about * (1 + errors.plate_gain) + errors.plate_offset
+    about = np.concatenate([force, moment - np.cross(errors.wrench_position, force)], axis=2)
+    expected = about * (1 + errors.wrench_gain) + errors.wrench_offset
     np.testing.assert_allclose(readings["wrenches"], expected, atol=1e-12)
 
 
@@ -287,7 +287,7 @@ class TestTare:
     def test_plates_read_their_offsets(self):
         errors, readings = instants("typical", scenario="tare", ideal=True)
         for reading in readings["wrenches"][:, :2]:
-            np.testing.assert_array_equal(reading, errors.plate_offset)
+            np.testing.assert_array_equal(reading, errors.wrench_offset)
 
     def test_overhead_support_has_no_errors(self):
         everything = ",".join(SENSOR_ERRORS)
@@ -356,7 +356,9 @@ def test_typical_means_the_six_calibration_errors():
     assert parse_errors("") == ()
 
 
-@pytest.mark.parametrize("text", ["plate_gian", "typical,plate_gian", "plate gain", "all", "none"])
+@pytest.mark.parametrize(
+    "text", ["wrench_gian", "typical,wrench_gian", "plate gain", "all", "none"]
+)
 def test_unknown_error_is_named_with_the_choices(text):
     with pytest.raises(SimulationError) as caught:
         parse_errors(text)

@@ -201,9 +201,9 @@ def spoilt(segment, errors, theta):
     gain = np.zeros(len(errors.joints))
     gain[errors.driven] = errors.of_kind("torque_gain", theta)[:, 0]
     wrenches = segment.wrenches.copy()
-    wrenches[..., :3] -= np.cross(errors.of_kind("plate_pose", theta), wrenches[..., 3:])
-    wrenches = wrenches * (1 + errors.of_kind("plate_gain", theta))
-    wrenches += errors.of_kind("plate_offset", theta)
+    wrenches[..., :3] -= np.cross(errors.of_kind("wrench_position", theta), wrenches[..., 3:])
+    wrenches = wrenches * (1 + errors.of_kind("wrench_gain", theta))
+    wrenches += errors.of_kind("wrench_offset", theta)
     turns = Rotation.from_rotvec(errors.of_kind("imu_mounting", theta)).as_matrix()
     bias = errors.of_kind("imu_bias", theta)
     return replace(

@@ -43,7 +43,7 @@ VERDICT = Verdict(
     sensors=(),
 )
 SENSORS = (
-    EstimatedQuantity("left_sole/plate_offset_force_x", "N", -1.875, 0.013, True),
+    EstimatedQuantity("left_sole/wrench_offset_force_x", "N", -1.875, 0.013, True),
     EstimatedQuantity("knee/torque_gain", "1", 0.0148, 0.0072, False),
 )
 VOID = {"meta", "link", "br", "hr", "img", "input"}
