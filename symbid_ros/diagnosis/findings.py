@@ -58,6 +58,7 @@ class Kind(Enum):
     WEIGHT = "weight"
     CONTRADICTION = "contradiction"
     BASE_MOUNTING = "base_mounting"
+    MISSING_INERTIA = "missing_inertia"
     JOINT_READINGS = "joint_readings"
     WRENCH_SIGN = "wrench_sign"
     WRENCH_FRAME = "wrench_frame"
@@ -247,11 +248,14 @@ class Diagnosis:
         """Return the diagnosis with one more finding."""
         return replace(self, findings=tuple(merged([finding], self.findings)))
 
-    def with_readings(self, finding: Finding) -> "Diagnosis":
-        """Return the diagnosis with wrong readings of joints, without what depends on them."""
+    def with_readings(self, finding: Finding, what: str) -> "Diagnosis":
+        """Return the diagnosis with wrong readings, without the findings that depend on them.
+
+        ``what`` says on what these depend.
+        """
         kinds = ", ".join(one.value for one in OF_READINGS)
         kept = [one for one in self.findings if one.kind not in OF_READINGS]
-        left_out = (f"{kinds}: they depend on the readings of the joints",)
+        left_out = (f"{kinds}: they depend on {what}",)
         found = replace(self, findings=tuple(kept), left_out=left_out)
         return found.with_finding(finding)
 

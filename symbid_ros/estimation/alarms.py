@@ -42,6 +42,7 @@ class Alarm(StrEnum):
     LACKING_JOINTS = "the log lacks"
     LIFTED = "according to the flags,"
     READINGS = "the efforts contradict the readings of joints"
+    MISSING_INERTIA = "show gravity but no inertia"
     UNPREDICTED_EFFORT = "the model does not predict the effort of"
     UNPREDICTED_END = "the first part of the log does not predict the last quarter"
     WRONG_FACTORS = "the efforts have wrong factors"

@@ -15,12 +15,14 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import align_checked, warn_once
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import WALL_CLOCK, Segment, cut_to, fingerprint, shift_behind
+from symbid_ros.signals.streams import Slice
 from symbid_ros.signals.weak_form import BLOCK
 
 # Slices are whole blocks, and no window crosses a block, so the cuts do not change the results.
 SPAN = 15 * BLOCK
 # Bytes of aligned channels that are kept in memory: 45 s of the Symbitron.
 MOST_KEPT = 16 << 20
+MOST_SHOWN = 3  # slices that are left out, in a warning
 
 logger = logging.getLogger(__name__)
 
@@ -108,8 +110,9 @@ class AlignedLog:
             for piece in self._log.slices(self._span, warn=reports):
                 if checks is not None:
                     checks.take(piece)
+                coverage.begin(piece)
                 if piece.streams is None:
-                    coverage.lose(DataError(piece.fault, "E520"))
+                    coverage.lose(DataError(piece.fault, "E520"), piece)
                     continue
                 streams, findings = mask_faulty_messages(piece.streams)
                 if reports:
@@ -117,7 +120,7 @@ class AlignedLog:
                 try:
                     segments = align_checked(streams, self._model)
                 except DataError as error:
-                    coverage.lose(error)
+                    coverage.lose(error, piece)
                     continue
                 for segment in cut_to(segments, piece.start, piece.stop):
                     coverage.take(segment, piece.recording)
@@ -201,7 +204,13 @@ class _Coverage:
     instants: int = 0
     recording: int = 0
     paused: int = 0  # ns
+    begins: int | None = None  # first stamp of all, ns
     faults: list[DataError] = field(default_factory=list)
+    lost: list[tuple[int, int]] = field(default_factory=list)  # first and last stamp, ns
+
+    def begin(self, piece: Slice) -> None:
+        if self.begins is None and (span := _stamp_span(piece)) is not None:
+            self.begins = span[0]
 
     def take(self, segment: Segment, recording: int) -> None:
         if recording != self.recording and self.first is not None:
@@ -219,8 +228,10 @@ class _Coverage:
         self.last = int(segment.stamp[-1])
         self.instants += len(segment)
 
-    def lose(self, fault: DataError) -> None:
+    def lose(self, fault: DataError, piece: Slice) -> None:
         self.faults.append(fault)
+        if (span := _stamp_span(piece)) is not None:
+            self.lost.append(span)
 
     def check(self, *, warn: bool) -> None:
         """Raise an error if there is no segment; otherwise log what is left out."""
@@ -237,7 +248,7 @@ class _Coverage:
         for fault in self.faults[:1]:
             count = len(self.faults)
             left_out = "a slice of the log is" if count == 1 else f"{count} slices of the log are"
-            logger.warning("%s; %s left out", fault, left_out)
+            logger.warning("%s; %s left out%s", fault, left_out, self._where())
         length = (self.last - int(self.first.stamp[0]) - self.paused) * 1e-9
         expected = round(length * self.first.rate) + 1
         ends = 1 + self.recording  # where resampling may lose an instant
@@ -248,6 +259,23 @@ class _Coverage:
                 expected - self.instants,
                 expected,
             )
+
+    def _where(self) -> str:
+        """Return when the lost slices are, for a message."""
+        shown = [
+            " to ".join(f"{(stamp - (self.begins or 0)) * 1e-9:.1f}" for stamp in span)
+            for span in self.lost[:MOST_SHOWN]
+        ]
+        more = ", ..." if len(self.lost) > MOST_SHOWN else ""
+        return f": {', '.join(shown)}{more} s after the first message" if shown else ""
+
+
+def _stamp_span(piece: Slice) -> tuple[int, int] | None:
+    """Return the first and last stamp of a slice, ns; None without messages."""
+    stamps = [one for one in piece.stamps.values() if len(one)]
+    if not stamps:
+        return None
+    return min(int(one.min()) for one in stamps), max(int(one.max()) for one in stamps)
 
 
 def _warn_once(findings: Iterable[Finding], reported: set[tuple[str, str]]) -> None:

@@ -23,6 +23,10 @@ from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.joint_readings import JointReadings, find_readings
 from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.log_reading import first_segments
+from symbid_ros.identification.missing_inertia import (
+    find_missing_inertia,
+    missing_inertia_finding,
+)
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.pipeline import identify_problem
 from symbid_ros.identification.position_units import find_degrees
@@ -155,11 +159,19 @@ def diagnose(
         return diagnosis
     if searches_gravity(options, robot):
         found = find_gravity(segments, robot)
-    if found is None:
-        readings = find_readings(segments, robot)
-        return diagnosis if readings is None else _with_readings(diagnosis, readings)
-    diagnosis = doctor.diagnose(log, robot.with_gravity(found.direction))
-    return diagnosis.with_finding(found.finding(robot.source))
+    if found is not None:
+        robot = robot.with_gravity(found.direction)
+        diagnosis = doctor.diagnose(log, robot).with_finding(found.finding(robot.source))
+    elif (readings := find_readings(segments, robot)) is not None:
+        return _with_readings(diagnosis, readings)
+    joints = find_missing_inertia(segments, robot)
+    return _with_missing_inertia(diagnosis, joints) if joints else diagnosis
+
+
+def _with_missing_inertia(diagnosis: Diagnosis, joints: Sequence[str]) -> Diagnosis:
+    """Return a diagnosis in which the efforts of joints have no inertia."""
+    finding = missing_inertia_finding(diagnosis.streams[0].topic, joints)
+    return diagnosis.with_readings(finding, "the inertia, which the efforts do not show")
 
 
 def _with_readings(diagnosis: Diagnosis, readings: JointReadings) -> Diagnosis:
@@ -171,8 +183,9 @@ def _with_readings(diagnosis: Diagnosis, readings: JointReadings) -> Diagnosis:
     signs = {name.removesuffix("/gain") for one in found for name in one.figures}
     if readings.are_positions_right and signs.issuperset(readings.reversed_efforts):
         return diagnosis
-    depends = not readings.are_positions_right or readings.are_all_efforts_reversed
-    return diagnosis.with_readings(finding) if depends else diagnosis.with_finding(finding)
+    if readings.are_positions_right and not readings.are_all_efforts_reversed:
+        return diagnosis.with_finding(finding)
+    return diagnosis.with_readings(finding, "the readings of the joints")
 
 
 @on_one_blas_thread

@@ -6,12 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.diagnosis.findings import OF_READINGS, has_unsigned_efforts
+from symbid_ros.diagnosis.findings import OF_READINGS, Kind, has_unsigned_efforts
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.unexplained import force_text
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.joint_readings import find_readings
-from symbid_ros.identification.likely_cause import FROZEN, WRONG_READINGS, explained
+from symbid_ros.identification.likely_cause import (
+    FROZEN,
+    MISSING_INERTIA,
+    WRONG_READINGS,
+    explained,
+)
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.resting_joints import (
     motionless_joints,
@@ -28,6 +33,12 @@ ALL, FEWEST_ROWS, NOISE = 0.9, 20, 0.1
 MUCH = 0.3
 # Correlation of effort and velocity below which the effort opposes the motion.
 OPPOSED = -0.3
+# What to check of a robot with one joint, and of one with several.
+CHECK_DRIVER = (
+    "check what the driver publishes as its effort",
+    "check which joint the driver means by its position and its effort",
+)
+FOLLOWS = "; the other alarms may follow from this"
 
 
 def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Identification:
@@ -51,14 +62,17 @@ def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Iden
     is_signed = not (problem.options.drive_gains or has_unsigned_efforts(problem.checks.findings))
     if (found.alarms or unpredicted or resting) and is_signed:
         readings = find_readings(tuple(dataset.segments), model)
-    cause = WRONG_READINGS if readings is not None else FROZEN if resting else ""
+    lacks_inertia = any(one.kind is Kind.MISSING_INERTIA for one in problem.checks.findings)
+    cause = MISSING_INERTIA if lacks_inertia else FROZEN if resting else ""
+    cause = WRONG_READINGS if readings is not None else cause
     found = explained(problem, found, cause)
-    alarms = [*found.alarms]
+    alarms = sorted(found.alarms, key=lambda one: Alarm.MISSING_INERTIA not in one)
+    if lacks_inertia and len(alarms) > 1:
+        alarms[0] += FOLLOWS
     if readings is not None:
         depends = {one.message for one in problem.checks.findings if one.kind in OF_READINGS}
         alarms = [one for one in alarms if one not in depends]
-        follows = "; the other alarms may follow from this" if alarms else ""
-        alarms.insert(0, readings.alarm + follows)
+        alarms.insert(0, readings.alarm + (FOLLOWS if alarms else ""))
         named = {*readings.exchanged, *readings.reversed_joints, *readings.reversed_efforts}
     if at_rest := [name for name in resting if name not in named]:
         alarms.append(resting_alarm(at_rest))
@@ -111,7 +125,7 @@ def _unpredicted(
             "the effort opposes the motion, so the sign of one of them is wrong; give `flip_joint` "
             f"{name}, or `effort_scale` {name}:=-1"
             if efforts.correlation[index] < OPPOSED
-            else "check which joint the driver means by its position and its effort"
+            else CHECK_DRIVER[len(model.measured_joint_names) > 1]
         )
         alarms[name] = (
             f"{Alarm.UNPREDICTED_EFFORT} {name} ({force_text(size, unit)}), although the joint "

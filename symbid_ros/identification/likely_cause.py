@@ -41,6 +41,7 @@ WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, wi
 WRONG_EFFORTS = "the wrong factors of efforts in another alarm may explain it; correct these first"
 WRONG_WEIGHING = "the wrong weighing or gain in another alarm may explain it; correct that first"
 FROZEN = "the joint at rest in another alarm may explain it; check that first"
+MISSING_INERTIA = "the missing inertia in another alarm may explain it; correct that first"
 DELAY_ALARM = "the delay in another alarm"
 WRONG_READINGS = "the wrong readings of joints in another alarm may explain it; correct these first"
 EFFECTS = {

@@ -25,6 +25,10 @@ from symbid_ros.errors import DataError
 from symbid_ros.identification.calibration import Mounting
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.joint_readings import find_readings
+from symbid_ros.identification.missing_inertia import (
+    find_missing_inertia,
+    missing_inertia_finding,
+)
 from symbid_ros.identification.tares import Tare
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
@@ -41,6 +45,7 @@ BIASING = frozenset(
         Kind.ENCODER_OFFSET,
         Kind.DELAY,
         Kind.EFFORT_DELAY,
+        Kind.MISSING_INERTIA,
         Kind.TORQUE_GAIN,
         Kind.WRENCH_GAIN,
         Kind.WRENCH_OFFSET,
@@ -152,13 +157,7 @@ def check_dataset(
     source = dataset.source
     of_streams = checks.findings(source)
     _refuse_unusable(source, of_streams)
-    statistics = None
-    if robot.contacts is None:  # else there is no force to compare with
-        if watch is None:
-            watch = ModelWatch(robot)
-            for segment in dataset.segments:
-                watch.add(segment)
-        statistics = watch.statistics()
+    statistics = _model_statistics(dataset, robot, watch)
     found: list[Finding] = []
     if statistics is not None:
         found = check_model(
@@ -170,6 +169,9 @@ def check_dataset(
         ).findings
     if has_unsigned_efforts(of_streams):
         found = [one for one in found if one.kind not in OF_SIGNED_EFFORTS]
+    elif joints := find_missing_inertia(dataset.segments, robot):
+        found = [one for one in found if one.kind not in OF_READINGS]
+        found.append(missing_inertia_finding(checks.joint_topic, joints))
     mountings = {}
     tares = {}
     if "wrench_offset" in estimated and statistics is not None:
@@ -203,6 +205,19 @@ def check_dataset(
         also = "; those messages are left out" if left_out else ""
         logger.warning("%s: %s%s", source, finding.message, also)
     return LogChecks(tuple(findings), mountings, checks.spans, tares)
+
+
+def _model_statistics(
+    dataset: Dataset, robot: RobotModel, watch: ModelWatch | None
+) -> ModelStatistics | None:
+    """Return what a log says about the model; None if there is no force to compare with."""
+    if robot.contacts is not None:
+        return None
+    if watch is None:
+        watch = ModelWatch(robot)
+        for segment in dataset.segments:
+            watch.add(segment)
+    return watch.statistics()
 
 
 def _with_readings(

@@ -19,7 +19,7 @@ from symbid_ros.model.export_urdf import (
     with_nonnegative_terms,
 )
 from symbid_ros.model.inertia import TINY_MASS, com_from_phi, is_consistent, nearest_consistent
-from symbid_ros.model.mjcf import file_bodies, load_mjcf
+from symbid_ros.model.mjcf import file_bodies
 from symbid_ros.model.mjcf_source import included_file, read_mjcf
 from symbid_ros.model.rotation import quaternion_from_rotation
 from symbid_ros.model.tree import Joint, RobotModel
@@ -241,7 +241,7 @@ def updated_mjcf(
     """
     root = read_mjcf(source)
     elements = [as_element(body) for body in root.iterfind("worldbody//body")]
-    inertias, robot = file_bodies(source)
+    inertias, robot, stated_robot = file_bodies(source)
     names = list(inertias)
     model = without_wrist_sensors(model, kept=names)
     named = [element.get("name", body) for element, body in zip(elements, names, strict=False)]
@@ -266,7 +266,7 @@ def updated_mjcf(
     if before is not None and not _move_bodies(files, root, bodies, (before, model)):
         return None
     # An element may inherit its terms from a class, so MuJoCo's values are compared.
-    stated_joints = {joint.name: joint for joint in load_mjcf(source).joints}
+    stated_joints = {joint.name: joint for joint in stated_robot.joints}
     after = {joint.name: joint for joint in model.joints}
     for element in root.iterfind("worldbody//joint"):
         joint = element.get("name", "")

@@ -33,8 +33,8 @@ def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
         ``.urdf`` or ``.xml`` file.
     base : {"auto", "floating", "fixed"}
         Whether the base may move. An MJCF says so by a free joint, which "floating" needs and
-        "fixed" welds. "auto" takes the base of a URDF as floating unless a fixed joint carries it
-        on a massless root ``world``.
+        "fixed" welds. "auto" takes the base of a URDF as floating unless its root is named
+        ``world``. A floating joint below a massless ``world`` carries a base that floats.
 
     Returns
     -------

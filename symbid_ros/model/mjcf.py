@@ -43,10 +43,10 @@ def load_mjcf(path: Path, base: Base = "auto") -> RobotModel:
     return _Reader(_compiled(path), str(path)).model(is_welded=base == "fixed")
 
 
-def file_bodies(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
-    """Return φ (10,) of all bodies below the world by name, and the names of the robot's bodies.
+def file_bodies(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...], RobotModel]:
+    """Return φ (10,) of all bodies below the world by name, the robot's bodies, and the robot.
 
-    All are in file order, ``body_<number>`` is a body without a name. φ is about the body's own
+    Bodies are in file order, ``body_<number>`` is a body without a name. φ is about the body's own
     origin, as MuJoCo compiles it from the file.
 
     Raises
@@ -56,7 +56,8 @@ def file_bodies(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
     """
     reader = _Reader(_compiled(path), str(path))
     every = {reader.names[body]: reader.phi(body) for body in range(1, reader.m.nbody)}
-    return every, tuple(body.name for body in reader.bodies()[0])
+    names = tuple(body.name for body in reader.bodies()[0])
+    return every, names, reader.model(is_welded=False)
 
 
 def compile_with_shapes(path: Path) -> Any:

@@ -39,7 +39,8 @@ def load_urdf(path: Path, base: Base = "auto", *, is_identified: bool = False) -
         The file.
     base : {"auto", "floating", "fixed"}
         A URDF does not say whether its root is fixed. With "auto" the root floats (REP-105's
-        ``base_link``) unless it is a massless link named ``world``, whose joint then decides.
+        ``base_link``) unless it is named ``world``. A floating joint below a massless ``world``
+        carries a base that floats.
     is_identified : bool
         Whether an identification wrote it, which may have found negative masses.
 
@@ -60,8 +61,8 @@ def load_urdf(path: Path, base: Base = "auto", *, is_identified: bool = False) -
                 "E104",
             )
     reader = UrdfReader(str(path), robot, is_identified=is_identified)
-    bodies, world_joint = reader.bodies()
-    floating = base == "floating" or (base == "auto" and world_joint != "fixed")
+    bodies, floats = reader.bodies()
+    floating = base == "floating" or (base == "auto" and floats)
     gravity = STANDARD_GRAVITY if floating else reader.root_rotation.T @ STANDARD_GRAVITY
     return assemble(
         robot.get("name", path.stem), bodies, floating=floating, gravity=gravity, source=str(path)
@@ -110,20 +111,20 @@ class UrdfReader:
             self.children[parent].append(joint)
             self.moved.add(child)
 
-    def bodies(self) -> tuple[list[Body], str | None]:
-        """Return the bodies, parents first, and the type of the joint below ``world``."""
+    def bodies(self) -> tuple[list[Body], bool]:
+        """Return the bodies, parents first, and whether the file lets the first one float."""
         roots = [name for name in self.links if name not in self.moved]
         if len(roots) != 1:
             found = ", ".join(roots) or "none"
             raise ModelError(
                 f"{self.source}: a URDF has one root link, found {found}; join them", "E106"
             )
-        root, world_joint = roots[0], None
+        root, floats = roots[0], roots[0] != WORLD
         below = self.children[root]
         if root == WORLD and self.links[root].find("inertial") is None and len(below) == 1:
             kind = below[0].get("type")
             if kind in ("fixed", "floating"):
-                world_joint = kind
+                floats = kind == "floating"
                 self.root_rotation, _ = self.pose(below[0])
                 root = self._end(below[0], "child")
         bodies: list[Body] = []
@@ -135,7 +136,7 @@ class UrdfReader:
                 f"not connected to {root!r}; a URDF is a tree",
                 "E106",
             )
-        return bodies, world_joint
+        return bodies, floats
 
     def _descend(
         self, chain: list[str], parent: int, joint: ET.Element | None, out: list[Body]

@@ -179,6 +179,8 @@ class BagRequest:
         Topics and part of the bags.
     base : {"auto", "floating", "fixed"}
         Whether the base of a URDF may move.
+    robot : RobotModel or None
+        The robot in ``model``, once the request is completed.
     """
 
     bags: tuple[Path, ...]
@@ -186,6 +188,7 @@ class BagRequest:
     options: IdentifyOptions = field(default_factory=IdentifyOptions)
     log: LogOptions = field(default_factory=LogOptions)
     base: Base = "auto"
+    robot: RobotModel | None = field(default=None, compare=False, repr=False)
 
     def completed(self) -> "BagRequest":
         """Return the request with what follows from the bags: base, topics of wrenches, payloads.
@@ -202,7 +205,7 @@ class BagRequest:
         log = with_wrench_topics(self.log, robot, bags, has_contacts=bool(options.contacts))
         is_open = self.base == "auto" and not is_mjcf(self.model)
         base = "fixed" if is_open and not robot.floating else self.base
-        return replace(self, bags=bags, options=options, log=log, base=base)
+        return replace(self, bags=bags, options=options, log=log, base=base, robot=robot)
 
     def _without_loaded_bags(self) -> tuple[tuple[Path, ...], IdentifyOptions]:
         """Return the bags without those that `payload` names; one is the log if no other is left.
@@ -230,10 +233,10 @@ class BagRequest:
         SymbidError
             When a file, the data or an option is invalid.
         """
-        request = self.completed()
-        robot = load_model(request.model, request.base)
-        log = open_bags(request.bags, robot, request.log)
-        return load_problem(robot, log, request.options, out)
+        if self.robot is None:
+            return self.completed().load(out)
+        log = open_bags(self.bags, self.robot, self.log)
+        return load_problem(self.robot, log, self.options, out)
 
     def attributed(
         self, found: Identification, command: str, files: Sequence[Path] = ()

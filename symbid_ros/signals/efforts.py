@@ -6,6 +6,7 @@ joints are not affected.
 """
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,21 +88,27 @@ def measured_efforts(
     if not len(starts):
         return MeasuredEfforts(effort, number, lost)
     is_finite = np.isfinite(effort)
+    unmeasured: dict[tuple[str, bool], list[str]] = {}
+
+    def lose(joint: int, what: str, is_lost: BoolArray) -> None:
+        lost[:, joint] |= is_lost
+        if is_lost.any():
+            unmeasured.setdefault((what, bool(lost[:, joint].all())), []).append(
+                model.joint_names[joint]
+            )
+
     for index, joint in enumerate(model.joints):
         column, finite = effort[:, index], is_finite[:, index]
         if joint.effort == 0.0:
             column[~finite] = 0.0
             continue
         if not finite.all():
-            unmeasured = ~_within_gaps(stamp, finite, longest_gap)
+            is_absent = ~_within_gaps(stamp, finite, longest_gap)
             _fill(stamp, column, finite)
-            lost[:, index] = np.logical_or.reduceat(unmeasured, starts)
-            _warn(topic, joint.name, "is missing or not finite", lost[:, index], remedy)
+            lose(index, "is missing or not finite", np.logical_or.reduceat(is_absent, starts))
         # Measurements are noisy; exact zeros come from a driver without a sensor.
         is_zero = ~np.logical_or.reduceat(column != 0.0, starts) & ~lost[:, index]
-        if is_zero.any():
-            lost[:, index] |= is_zero
-            _warn(topic, joint.name, "is always zero", lost[:, index], remedy)
+        lose(index, "is always zero", is_zero)
         changes = np.zeros(len(stamp), dtype=bool)
         changes[1:] = np.diff(column) != 0.0
         changes[starts] = False
@@ -109,9 +116,9 @@ def measured_efforts(
         travel = np.maximum.reduceat(path, starts) - np.minimum.reduceat(path, starts)
         is_constant = ~np.logical_or.reduceat(changes, starts) & ~lost[:, index]
         is_constant &= travel > MOVED[joint.kind == "prismatic"]
-        if is_constant.any():
-            lost[:, index] |= is_constant
-            _warn(topic, joint.name, "never changes while it moves", lost[:, index], remedy)
+        lose(index, "never changes while it moves", is_constant)
+    for (what, is_whole), names in unmeasured.items():
+        _warn(topic, names, what if is_whole else f"{what} in part of the log", remedy)
     return MeasuredEfforts(effort, number[starts], lost)
 
 
@@ -141,16 +148,15 @@ def _fill(stamp: IntArray, column: FloatArray, finite: BoolArray) -> None:
     column[~finite] = spline(inside)
 
 
-def _warn(topic: str, joint: str, what: str, lost: BoolArray, remedy: str) -> None:
-    """Warn that a joint's row is dropped, with the same text for every slice of a log."""
-    if not lost.any():
-        return
+def _warn(topic: str, joints: Sequence[str], what: str, remedy: str) -> None:
+    """Warn that joints' rows are dropped, with the same text for every slice of a log."""
     logger.warning(
-        "%s: the effort of joint %s %s%s: its row of the equation of motion is dropped there, all "
-        "other rows are used; %s",
+        "%s: the effort of %s %s: %s of the equation of motion %s dropped there, all other rows "
+        "are used; %s",
         topic,
-        joint,
+        ", ".join(joints),
         what,
-        "" if lost.all() else " in part of the log",
+        "its row" if len(joints) == 1 else "their rows",
+        "is" if len(joints) == 1 else "are",
         remedy,
     )

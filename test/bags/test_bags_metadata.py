@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from symbid_ros.bags.container.files import read_metadata
 from symbid_ros.bags.metadata import (
     FileMetadata,
     TopicMetadata,
@@ -65,3 +66,12 @@ def test_metadata_replace_an_earlier_file_and_are_in_the_record(tmp_path: Path):
     assert read == {"rosbag2_bagfile_information": found}
     record = encode_metadata_record(found)
     assert yaml.safe_load(record["serialized_metadata"]) == found
+
+
+def test_metadata_that_change_are_read_again(tmp_path: Path):
+    path = tmp_path / "metadata.yaml"
+    for files in ((FIRST,), (FIRST, SECOND)):
+        information = describe_bag(TOPICS, files)
+        path.write_text(yaml.safe_dump({"rosbag2_bagfile_information": information}))
+        for _ in range(2):
+            assert read_metadata(path) == information

@@ -1,5 +1,6 @@
 """A log read slice by slice equals the log read at once."""
 
+import re
 from dataclasses import fields
 from pathlib import Path
 
@@ -115,6 +116,22 @@ def test_instants_in_a_gap_are_counted_once(model, bag: Path, tmp_path: Path, ca
     joined(log)
     told = [one for one in caplog.messages if "lie in gaps" in one]
     assert told == [f"{gappy}: 400 of {len(whole)} instants lie in gaps and are left out"]
+
+
+def test_a_slice_that_is_left_out_is_named_by_its_time(model, bag: Path, tmp_path, caplog) -> None:
+    def silenced(messages: Messages) -> None:
+        heard = ~messages.between(1.0, 11.0)
+        messages.order, messages.log_time = messages.order[heard], messages.log_time[heard]
+
+    silent = edit_bag(bag, tmp_path / "silent", {"/imu/data": silenced})
+    whole = joined(AlignedLog(bag_log([bag], model), model))["stamp"]
+    left = joined(AlignedLog(bag_log([silent], model), model, span=BLOCK, most_kept=0))["stamp"]
+    (told,) = [one for one in caplog.messages if "left out: " in one]
+    start, stop = map(float, re.search(r"left out: ([\d.]+) to ([\d.]+) s after", told).groups())
+    inside = ((whole - whole[0]) * 1e-9 > start + 0.1) & ((whole - whole[0]) * 1e-9 < stop - 0.1)
+    assert inside.any()
+    assert not np.isin(left, whole[inside]).any()
+    assert 1.0 < start < stop < 11.0
 
 
 def test_probes_of_a_long_log_are_thinned(model, bag: Path, monkeypatch) -> None:

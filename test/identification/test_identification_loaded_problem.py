@@ -10,6 +10,8 @@ from symbid_ros.errors import DataError
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.model.load import load_model
+from symbid_ros.offline import bags
 from symbid_ros.offline.bags import BagRequest
 
 ALL = LogOptions()
@@ -120,3 +122,16 @@ def test_an_offset_of_one_joint_is_chosen_though_its_links_could_replace_it(log,
     place = estimate.names.index("R_hfe/offset")
     # An effort that reads 1 Nm too much looks like a constant torque of the joint.
     assert abs(abs(estimate.value[place]) - 1.0) < 4 * estimate.std[place]
+
+
+def test_a_completed_request_reads_its_model_once(log, monkeypatch) -> None:
+    read = []
+
+    def counted(*arguments):
+        read.append(arguments)
+        return load_model(*arguments)
+
+    monkeypatch.setattr(bags, "load_model", counted)
+    request = BagRequest((log,), CONFIG / "symbitron.xml", IdentifyOptions(joint_terms=("none",)))
+    assert request.completed().load().parameters.model.floating
+    assert len(read) == 1

@@ -221,11 +221,14 @@ def test_a_massless_world_only_holds_the_base(tmp_path, kind):
     # A world with mass, with two robots or below a moving joint is a link like others.
     heavy = loaded(tmp_path, link("world"), *parts, joint("base", "world", "a", "fixed"))
     assert heavy.link_names == ("world", "b")
+    assert not heavy.floating
     hinged = loaded(tmp_path, link("world", ""), *parts, joint("base", "world", "a"))
     assert hinged.link_names == ("world", "a", "b")
+    assert not hinged.floating
     two = [link("c"), joint("second", "world", "c", "fixed")]
     both = loaded(tmp_path, link("world", ""), *parts, joint("base", "world", "a", "fixed"), *two)
     assert both.link_names == ("world", "b")
+    assert not both.floating
 
 
 def test_chains_have_a_limited_length(tmp_path):

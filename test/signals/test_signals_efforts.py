@@ -78,7 +78,7 @@ def assert_alike(blocks, others, lost) -> None:
     [
         (NAN, "joint_1 is missing or not finite"),
         (np.inf, "or not finite"),
-        (0.0, "joint_1 is always zero"),
+        (0.0, "effort of joint_1 is always zero"),
         (12.5, "joint_1 never changes while it moves"),
     ],
 )
@@ -110,6 +110,14 @@ def test_a_span_without_effort_loses_the_blocks_in_it(caplog, start) -> None:
     silent.joints.effort[2 * SPAN_ROWS :, 0] = 0.0
     assert_alike(rows_of(model, silent), whole, {1: (8,), 2: (6,)})
     assert "joint_2 is missing or not finite in part of the log" in caplog.text
+
+
+def test_one_warning_names_all_joints_without_effort(caplog) -> None:
+    silent = streams_of(robot())
+    silent.joints.effort[:, :2] = 0.0
+    align(silent, robot())
+    (told,) = caplog.messages
+    assert "the effort of joint_0, joint_1 is always zero: their rows" in told
 
 
 def test_short_gaps_in_efforts_are_interpolated(caplog) -> None:

@@ -70,17 +70,21 @@ def find_files(bag: Path) -> list[Path]:
 def read_metadata(metadata: Path) -> dict[str, Any]:
     """Read a metadata.yaml, and check only that rosbag2 wrote it."""
     try:
-        text = read_regular(metadata, MAX_METADATA).decode("utf-8")
-        content = parse_yaml(text, MAX_YAML_NODES)
-        information: dict[str, Any] = content["rosbag2_bagfile_information"]
-        names = information["relative_file_paths"]
-        is_valid = all(isinstance(name, str) for name in names)
+        state = metadata.stat()
+        return _read_metadata(metadata, state.st_size, state.st_mtime_ns)
     except (OSError, ValueError, KeyError, TypeError):
-        is_valid = False
-    if not is_valid:
         raise BagError(
             f"{metadata}: not a rosbag2 metadata file; give the .mcap file instead", "E209"
-        )
+        ) from None
+
+
+@lru_cache(maxsize=64)
+def _read_metadata(metadata: Path, size: int, modified_ns: int) -> dict[str, Any]:
+    """Read the metadata in the state of the file that size and time of change tell."""
+    content = parse_yaml(read_regular(metadata, MAX_METADATA).decode("utf-8"), MAX_YAML_NODES)
+    information: dict[str, Any] = content["rosbag2_bagfile_information"]
+    if not all(isinstance(name, str) for name in information["relative_file_paths"]):
+        raise TypeError("the name of a file is not a text")
     return information
 
 

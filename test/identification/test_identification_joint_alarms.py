@@ -1,0 +1,21 @@
+"""Alarms about joints whose efforts a model does not predict."""
+
+import numpy as np
+import pytest
+from drive_logs import arm, drives, log_of
+
+import symbid_ros as sy
+from symbid_ros.estimation.alarms import Alarm
+
+
+@pytest.mark.parametrize(("links", "asks_for_the_joint"), [(2, False), (4, True)])
+def test_only_a_robot_with_several_joints_can_confuse_them(links, asks_for_the_joint) -> None:
+    robot = arm(seed=5, links=links)
+    joints = log_of(robot, drives(robot, viscous=0.4), seed=1).streams().joints
+    time = 1e-9 * (joints.stamp - joints.stamp[0])
+    effort = joints.effort.copy()
+    effort[:, 0] = 20 * np.sin(9.1 * time + 3 * np.sin(2.3 * time))
+    log = sy.Log.from_arrays(robot, time=time, position=joints.position, effort=effort)
+    alarms = sy.identify(robot, log, unchecked=True).alarms
+    (told,) = [one for one in alarms if Alarm.UNPREDICTED_EFFORT in one and "joint_0" in one]
+    assert ("which joint" in told) is asks_for_the_joint
