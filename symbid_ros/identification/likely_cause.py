@@ -170,7 +170,8 @@ def _with_tried_causes(
     disturbance = None if rows is None else brief_disturbance(rows)
     if disturbance is not None:
         return _with_cause(found, "", disturbance.sentence, is_first=True)
-    if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
+    gains = [one for one in problem.checks.findings if one.kind is Kind.TORQUE_GAIN]
+    if not all(name.endswith("/load_share") for one in gains for name in one.figures):
         return _with_cause(found, "", WRONG_EFFORTS)
     if any(Alarm.WEIGHING in alarm for alarm in verdict.alarms):
         return _with_cause(found, "", WRONG_WEIGHING)
