@@ -35,9 +35,7 @@ QUARTER, MOSTLY = 0.25, 0.5
 
 NO_OPTION = "no option models it, and the standard deviations allow for it"
 WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, of warm drives"
-WRONG_EFFORTS = (
-    "the factors of the efforts that another alarm names may explain it; correct these first"
-)
+WRONG_EFFORTS = "the efforts that another alarm names may explain it; correct these first"
 WRONG_WEIGHING = (
     "the weighing, which contradicts the data according to another alarm, may explain it; settle "
     "that first"
@@ -170,8 +168,7 @@ def _with_tried_causes(
     disturbance = None if rows is None else brief_disturbance(rows)
     if disturbance is not None:
         return _with_cause(found, "", disturbance.sentence, is_first=True)
-    gains = [one for one in problem.checks.findings if one.kind is Kind.TORQUE_GAIN]
-    if not all(name.endswith("/load_share") for one in gains for name in one.figures):
+    if any(one.kind is Kind.TORQUE_GAIN for one in problem.checks.findings):
         return _with_cause(found, "", WRONG_EFFORTS)
     if any(Alarm.WEIGHING in alarm for alarm in verdict.alarms):
         return _with_cause(found, "", WRONG_WEIGHING)
