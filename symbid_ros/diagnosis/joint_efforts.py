@@ -110,10 +110,10 @@ def load_share(problem: GainProblem, gains: GainEstimate, index: int) -> float:
     _, drives = _scaled_columns(problem, factor, size)
     both = np.column_stack([read, load])
     left = both - drives @ np.linalg.lstsq(drives, both, rcond=None)[0]
-    squares = left.T @ left
-    least = (LEAST * size) ** 2 * problem.rows.samples
-    if min(squares[0, 0], squares[1, 1]) <= least:
+    # Readings and load may have different units.
+    if np.any(np.linalg.norm(left, axis=0) <= LEAST * np.linalg.norm(both, axis=0)):
         return 0.0
+    squares = left.T @ left
     return float(squares[0, 1] ** 2 / (squares[0, 0] * squares[1, 1]))
 
 
