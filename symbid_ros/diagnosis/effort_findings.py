@@ -52,6 +52,8 @@ class SignConversions:
 
 
 NO_CONVERSIONS = SignConversions()
+NO_LIMIT = 0.0, np.inf
+NO_SHARES: Mapping[str, float] = MappingProxyType({})
 NO_GAINS: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
 
@@ -61,7 +63,8 @@ def effort_findings(
     common: float,
     unknown: Mapping[str, tuple[float, float]] = NO_GAINS,
     *,
-    beyond: Mapping[str, tuple[float, float]] = NO_GAINS,
+    hidden: Mapping[str, float] = NO_SHARES,
+    limits: Mapping[str, tuple[float, float]] = NO_GAINS,
     evidence: ScaleEvidence | None = None,
     conversions: SignConversions = NO_CONVERSIONS,
 ) -> Iterator[Finding]:
@@ -76,8 +79,11 @@ def effort_findings(
         The gain of the other sensors.
     unknown : mapping of str to (float, float)
         The same of the other driven joints.
-    beyond : mapping of str to (float, float)
-        RMS efforts beyond the limits of the model, and these limits.
+    hidden : mapping of str to float
+        Those of them whose efforts differ from the load although they hardly show it, with the
+        share of the effort that the load explains.
+    limits : mapping of str to (float, float)
+        RMS efforts, and the limits of the model.
     evidence : ScaleEvidence, optional
         Whether the model's masses may have the wrong unit; None if wrenches show that they do not.
     conversions : SignConversions
@@ -103,6 +109,7 @@ def effort_findings(
     are_all = len(known) > 2 and [len(names) for names in groups] == [len(known)]
     usual = dict.fromkeys(unknown, float(np.median(list(wrong.values())))) if are_all else {}
     factors = {name: 1 / one for name, one in (wrong | usual).items()}
+    factors |= {name: within_limit(factors[name], *limits.get(name, NO_LIMIT)) for name in usual}
     masses = ""
     if are_all:
         unit = common_unit([1 / one for one in wrong.values()])
@@ -116,8 +123,12 @@ def effort_findings(
             line = conversions.effort_line(dict.fromkeys(factors, unit))
             yield _unit_finding(topic, wrong, unit, line, masses)
             return
-    if excess := {name: beyond[name] for name in unknown if name in beyond and not usual}:
-        yield _limit_finding(topic, excess, (*known, *unknown), conversions)
+    if not usual:
+        beyond = {name: one for name, one in limits.items() if name in unknown and one[0] > one[1]}
+        if beyond:
+            yield _limit_finding(topic, beyond, (*known, *unknown), conversions)
+        if hidden:
+            yield _hidden_finding(topic, hidden)
     line = conversions.effort_line(factors)
     drives = "all" if are_all else ",".join(factors)
     action = f"write {line}, or give `drive_gain` {drives} to identify the factors"
@@ -138,6 +149,11 @@ def effort_findings(
             f"gear ratio or torque constant, or {action}",
             {"reads": reads} | {f"{name}/reads": wrong[name] for name in names},
         )
+
+
+def within_limit(factor: float, rms: float, limit: float) -> float:
+    """Return the factor of an effort, or the largest that keeps its RMS within the limit."""
+    return min(factor, limit / rms) if rms > 0 else factor
 
 
 def _unit_finding(
@@ -174,6 +190,22 @@ def _masses_finding(topic: str, reads: Mapping[str, float], factor: float) -> Fi
         f"the masses in the model were {masses_fault(factor)}; correct its masses and inertias "
         "(kg, kg m²)",
         {"reads": middle, "masses_times": factor},
+    )
+
+
+def _hidden_finding(topic: str, hidden: Mapping[str, float]) -> Finding:
+    """Return the finding that efforts do not contain the load of their joints."""
+    most = 100 * max(hidden.values())
+    return Finding(
+        Kind.TORQUE_GAIN,
+        topic,
+        Severity.WARNING,
+        f"{topic}: effort of {', '.join(hidden)} does not show the load that the motion implies: "
+        f"beside friction, armature and offset, the load explains {most:.2g} % of the effort, so "
+        "no factor follows; check which joint the driver means by this effort, the model's "
+        "inertias beyond the joint, and whether something else carries or drives it, such as a "
+        "brake, a spring or a hand",
+        {f"{name}/load_share": share for name, share in hidden.items()},
     )
 
 

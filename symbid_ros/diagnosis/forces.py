@@ -105,7 +105,9 @@ def check_forces(
         index: fit_rotation(*gains.matrix(gains.sensors.wrench(index))) for index in loaded
     }
     efforts = {name: gains.effort(index) for index, name in enumerate(gains.sensors.joint_names)}
-    known = {name: estimate for name, estimate in efforts.items() if _is_known(*estimate)}
+    hidden = {gains.sensors.joint_names[at]: share for at, share in gains.hidden_loads.items()}
+    judged = {name: estimate for name, estimate in efforts.items() if _is_known(*estimate)}
+    known = {name: estimate for name, estimate in judged.items() if name not in hidden}
     middle = _median_gain(rotations, known)
     common = _reference_gain(rotations, known)
     figures = {"gain": common}
@@ -117,6 +119,9 @@ def check_forces(
         figures[f"{frames[index]}/angle_deg"] = float(np.degrees(turn.angle))
     for name, (gain, std) in efforts.items():
         figures[f"{name}/effort_gain"], figures[f"{name}/effort_gain_std"] = gain, std
+        figures |= {f"{name}/load_share": hidden[name]} if name in hidden else {}
+    for name, (rms, _) in statistics.effort_limits.items():
+        figures[f"{name}/effort_rms"] = rms
     if statistics.model.floating and _is_reversed(statistics, gains, rotations, known):
         return ForceVerdict((reversed_imu_finding(imus),), figures, Kind.IMU_MOUNTING.value)
     if statistics.model.floating and gains.before > MAX_UNEXPLAINED * statistics.weight:
@@ -142,12 +147,18 @@ def check_forces(
             known,
             common,
             {name: one for name, one in efforts.items() if name not in known},
-            beyond=statistics.beyond_limits,
+            hidden={
+                name: hidden[name]
+                for name, (gain, std) in judged.items()
+                if name in hidden and abs(gain - common) > DEVIATIONS * std
+            },
+            limits=statistics.effort_limits,
             evidence=None if rotations else statistics.scale_evidence,
             conversions=conversions,
         ),
     ]
-    if not found and not statistics.model.floating and _are_reversed(efforts):
+    shown = {name: one for name, one in efforts.items() if name in known or name not in judged}
+    if not found and not statistics.model.floating and _are_reversed(shown):
         reversed_gains = {name: gain for name, (gain, _) in efforts.items()}
         found = [sign_finding(joints, reversed_gains, conversions, are_all=True)]
     several = len(found) > MOST_FAULTS and len({one.kind for one in found}) > 1

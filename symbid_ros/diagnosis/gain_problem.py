@@ -1,6 +1,7 @@
 """The least-squares problem of gains and delays of sensors, with uncertain inertias."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -172,6 +173,9 @@ class GainEstimate:
         estimated gains.
     reversed_wrenches : float
         The same with all wrenches reversed.
+    hidden_loads : mapping of int to float
+        Driven joints whose efforts hardly show their load, although their gains differ from one,
+        with the share of the effort that the load explains.
     """
 
     sensors: GainLayout
@@ -181,6 +185,7 @@ class GainEstimate:
     before: float
     after: float
     reversed_wrenches: float = np.inf
+    hidden_loads: Mapping[int, float] = field(default_factory=dict)
 
     def matrix(self, place: slice) -> tuple[FloatArray, FloatArray]:
         """Return A or M (3, 3) of a sensor and the covariance (9, 9) of its rows."""

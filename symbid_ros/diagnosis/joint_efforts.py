@@ -53,15 +53,9 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
     index : int
         Index of the driven joint.
     """
-    layout, rows, p = problem.gains, problem.rows, len(problem.mean)
+    layout, rows = problem.gains, problem.rows
     factor, size = _rows_of(problem, index)
-    own = p + layout.efforts.start + index
-    read = -factor[:, own]
-    # Remove the readings, their delay and the drives from the left side: the load remains.
-    unknowns = np.append(problem.mean, gains.mean)
-    unknowns[problem.number_of_inertias : p] = unknowns[p + layout.effort_delay] = 0.0
-    unknowns[own] = -1.0
-    load = factor[:, :-1] @ unknowns - factor[:, -1]
+    read, load = _effort_and_load(problem, gains, index)
     if np.sqrt(float(load @ load) / rows.samples) <= LEAST * size or size == 0.0:
         return 1.0, GAIN_STD
     inertias, drives = _scaled_columns(problem, factor, size)
@@ -102,6 +96,25 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
     gained = min(np.subtract(found, right))
     deviations = float(np.sqrt(max(2 * gained, 0.0)))
     return _away_from_zero(ratio), max(std, abs(ratio - 1) / max(deviations, 1.0))
+
+
+def load_share(problem: GainProblem, gains: GainEstimate, index: int) -> float:
+    """Return the share of a driven joint's effort that its load explains.
+
+    It is that of the squares which friction, armature and an offset of any size leave over.
+    """
+    factor, size = _rows_of(problem, index)
+    if size == 0.0:
+        return 0.0
+    read, load = _effort_and_load(problem, gains, index)
+    _, drives = _scaled_columns(problem, factor, size)
+    both = np.column_stack([read, load])
+    left = both - drives @ np.linalg.lstsq(drives, both, rcond=None)[0]
+    # Readings and load may have different units.
+    if np.any(np.linalg.norm(left, axis=0) <= LEAST * np.linalg.norm(both, axis=0)):
+        return 0.0
+    squares = left.T @ left
+    return float(squares[0, 1] ** 2 / (squares[0, 0] * squares[1, 1]))
 
 
 def effort_delay_error(problem: GainProblem) -> float:
@@ -207,6 +220,20 @@ def _rows_of(problem: GainProblem, index: int) -> tuple[FloatArray, float]:
     factor = rows.factor(_coordinate(problem, index))
     read = factor[:, len(problem.mean) + layout.efforts.start + index]
     return factor, float(np.sqrt(float(read @ read) / max(rows.samples, 1)))
+
+
+def _effort_and_load(
+    problem: GainProblem, gains: GainEstimate, index: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the factors (w,) of a driven joint's readings and of the load that is expected."""
+    layout, p = problem.gains, len(problem.mean)
+    factor, _ = _rows_of(problem, index)
+    own = p + layout.efforts.start + index
+    # Remove the readings, their delay and the drives from the left side: the load remains.
+    unknowns = np.append(problem.mean, gains.mean)
+    unknowns[problem.number_of_inertias : p] = unknowns[p + layout.effort_delay] = 0.0
+    unknowns[own] = -1.0
+    return -factor[:, own], factor[:, :-1] @ unknowns - factor[:, -1]
 
 
 def _load_noise(problem: GainProblem, gains: GainEstimate, index: int) -> float:

@@ -216,13 +216,12 @@ class ModelStatistics:
         return ScaleEvidence(model_density(self.model.phi), max(shares, default=0.0))
 
     @property
-    def beyond_limits(self) -> dict[str, tuple[float, float]]:
-        """RMS effort of each joint that exceeds the model's limit, and that limit, Nm or N."""
+    def effort_limits(self) -> dict[str, tuple[float, float]]:
+        """RMS effort of each driven joint, and the model's limit, Nm or N."""
         joints = [self.model.joints[place] for place in self.gains.driven]
         return {
             joint.name: (effort, joint.effort)
             for joint, effort in zip(joints, self.efforts, strict=True)
-            if effort > joint.effort
         }
 
     @property

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.effort_findings import GAINS
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.effort_columns import EffortColumns
@@ -44,9 +45,12 @@ REMAINS_NEAR = 0.95
 REMAINS_OPEN = 0.85
 # Part of the improvement by factors of all joints that those of the named ones must bring.
 LEAST_PART = 1 / 3
-# A factor is named if it differs from the usual one by these, in deviations and as a share. Units
-# differ by more than the largest ratio; the checks of the log find them.
-CERTAIN, RELEVANT, LARGEST = 3.0, 0.05, 3.0
+# A factor is named if it differs from the usual one by these, in deviations and as a share.
+CERTAIN, RELEVANT = 3.0, 0.05
+# Torque constants err by less than this ratio, units and currents by more. Factors that differ by
+# more need the evidence of a held-out error that falls to the share after it; on public logs, none
+# of the trials that did not find currents came below .85.
+LARGEST, HALVED = 3.0, 0.5
 # Correlation of the factors of a sensor's components, which have one calibration.
 ALIKE = 0.99
 
@@ -69,20 +73,25 @@ class WrongFactors:
     alarm : str
     trial : Trial or None
         The identification in which these factors are unknowns; None if it explains too little.
-    others_agree : bool
-        Whether the other joints' factors are so alike that they can be taken as right.
+    is_settled : bool
+        Whether factors near 1 of all joints are no alternative: the other joints' factors are so
+        alike that they can be taken as right, or the factors differ by more than torque constants.
     """
 
     alarm: str
     trial: Trial | None
-    others_agree: bool = False
+    is_settled: bool = False
 
 
 class _Unlike(NamedTuple):
-    """Joints whose efforts differ from those of the others, with the factors of their readings."""
+    """Joints whose efforts differ from those of the others, with the factors of their readings.
+
+    ``are_plausible`` says whether these factors may be errors of torque constants.
+    """
 
     factors: dict[str, float]
     others_agree: bool
+    are_plausible: bool
 
 
 def wrong_factors(
@@ -91,9 +100,10 @@ def wrong_factors(
     """Return which efforts' factors explain a log better; None if none do.
 
     If some joints differ from others that agree, their factors alone are identified: the others
-    give the scale. If the others do not agree, or possible links explain the log much worse than
-    others do, factors near 1 of all joints are identified where these predict the end of the log
-    better.
+    give the scale. If the others do not agree and some factors differ as those of currents do, all
+    factors are identified, and the model's masses give the scale. Otherwise, if the others do not
+    agree, or possible links explain the log much worse than others do, factors near 1 of all joints
+    are identified where these predict the end of the log better.
 
     Parameters
     ----------
@@ -118,24 +128,35 @@ def wrong_factors(
         after = trial.checked.percent_after
         return trial if after is not None and after <= most else None
 
-    found = None
+    found, every = None, None
     if _square(problem.solved) > LEAST_SQUARE:
-        found = _of_some_joints(before, trial_with)
-    is_near = _excess(problem.solved) > LEAST_EXCESS if found is None else not found.others_agree
+        every = trial_with(("all",), min(REMAINS * before, UNDERSTOOD))
+    if every is not None:
+        found = _of_unlike_joints(every, before, trial_with)
+    if found is not None:
+        is_near = not found.is_settled
+    else:
+        is_near = _excess(problem.solved) > LEAST_EXCESS or _halves(every, before)
     if not is_near:
         return found
     near = trial_with(("all",), REMAINS_NEAR * before, 100 * PLAUSIBLE)
     return found if near is None else WrongFactors(_near_alarm(near, before), near)
 
 
-def _of_some_joints(before: float, trial_with: Callable[..., Trial | None]) -> WrongFactors | None:
-    """Return the joints whose efforts have other factors than those of most joints, if any."""
-    every = trial_with(("all",), min(REMAINS * before, UNDERSTOOD))
-    unlike = None if every is None else _unlike(every.problem.solved)
-    if every is None or unlike is None:
+def _of_unlike_joints(
+    every: Trial, before: float, trial_with: Callable[..., Trial | None]
+) -> WrongFactors | None:
+    """Return the joints whose efforts have other factors than those of most joints, if any.
+
+    ``every`` is the trial with factors of all joints.
+    """
+    unlike = _unlike(every.problem.solved)
+    if unlike is None or not (unlike.are_plausible or _halves(every, before)):
         return None
-    improvement = before - (every.checked.percent_after or 0.0)
-    some = trial_with(tuple(unlike.factors), before - LEAST_PART * improvement)
+    after = _percent(every)
+    some = None
+    if unlike.are_plausible or unlike.others_agree:
+        some = trial_with(tuple(unlike.factors), before - LEAST_PART * (before - after))
     if some is not None:
         said = _alarm(_factors_of(some), before, some.checked)
         return WrongFactors(
@@ -144,7 +165,9 @@ def _of_some_joints(before: float, trial_with: Callable[..., Trial | None]) -> W
             some,
             unlike.others_agree,
         )
-    if (every.checked.percent_after or 0.0) > REMAINS_OPEN * before:
+    if not unlike.are_plausible:
+        return WrongFactors(_open_alarm(every, before), every, is_settled=True)
+    if after > REMAINS_OPEN * before:
         return None
     line = robot_file_line(
         "effort_scale", *(f"{name}:={1 / at:.3g}" for name, at in unlike.factors.items())
@@ -158,6 +181,16 @@ def _of_some_joints(before: float, trial_with: Callable[..., Trial | None]) -> W
     )
 
 
+def _percent(trial: Trial) -> float:
+    """Return the held-out error of a trial that has one, %."""
+    return trial.checked.percent_after or 0.0
+
+
+def _halves(trial: Trial | None, before: float) -> bool:
+    """Return whether a trial errs by so little that its factors are beyond doubt."""
+    return trial is not None and _percent(trial) <= HALVED * before
+
+
 def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str:
     named = ", ".join(
         f"{joint} reads {factor:.2g} times the torque" for joint, factor in factors.items()
@@ -169,11 +202,25 @@ def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str
     )
 
 
-def _near_alarm(near: Trial, before: float) -> str:
-    named = ", ".join(f"{joint} {factor:.2g}" for joint, factor in _factors_of(near).items())
+def _open_alarm(every: Trial, before: float) -> str:
     return (
-        f"{Alarm.UNCERTAIN_FACTORS} (reading over torque: {named}); with these, the error at the "
-        f"end of the log is {near.checked.percent_after:.2g} % instead of {before:.2g} %; check "
+        f"{Alarm.WRONG_FACTORS}: those of the joints differ more than torque constants err, as "
+        f"those of currents do (reading over torque: {_named_factors(every)}); with these, the error at "
+        f"the end of the log is {_percent(every):.2g} % instead of {before:.2g} %; all factors "
+        "are identified, but only their ratios: the scale of factors and masses is that of the "
+        "model file's masses; give a known `payload` or the `effort_scale` of the joints, "
+        "`drive_gain` none takes efforts as they are"
+    )
+
+
+def _named_factors(trial: Trial) -> str:
+    return ", ".join(f"{joint} {factor:.2g}" for joint, factor in _factors_of(trial).items())
+
+
+def _near_alarm(near: Trial, before: float) -> str:
+    return (
+        f"{Alarm.UNCERTAIN_FACTORS} (reading over torque: {_named_factors(near)}); with these, the "
+        f"error at the end of the log is {_percent(near):.2g} % instead of {before:.2g} %; check "
         "torque constants, gear ratios and link lengths; the factors are identified and assumed to "
         f"be 1 within about {100 * PLAUSIBLE:.0f} %, `drive_gain` none takes efforts as they are"
     )
@@ -269,10 +316,7 @@ def _factors_of(trial: Trial) -> dict[str, float]:
 
 
 def _unlike(solved: SolvedProblem) -> _Unlike | None:
-    """Return which joints' efforts differ from those of the others.
-
-    It is None if none do, or if some factors are implausible.
-    """
+    """Return which joints' efforts differ from those of the others; None if none do."""
     count = len(solved.problem.parameters)
     names, found = solved.problem.sensor_names, solved.posterior
     gains: FloatArray = found.mean[count:]
@@ -287,11 +331,14 @@ def _unlike(solved: SolvedProblem) -> _Unlike | None:
     is_alike = apart < np.maximum(CERTAIN * np.hypot(relative[:, None], relative), RELEVANT)
     is_alike &= known & known[:, None]
     usual = is_alike[np.lexsort([relative, -is_alike.sum(axis=1)])[0]]
-    change = np.average(logs[usual], weights=relative[usual] ** -2) - logs
+    right = float(np.average(logs[usual], weights=relative[usual] ** -2))
+    change = right - logs
     is_unlike = known & (np.abs(change) > np.maximum(CERTAIN * relative, RELEVANT))
-    if not is_unlike.any() or np.any(np.abs(change[is_unlike]) > np.log(LARGEST)):
+    if not is_unlike.any():
         return None
-    # That half of the factors agree to a few percent is no chance: these are right.
+    are_plausible = bool(np.all(np.abs(change[is_unlike]) <= np.log(LARGEST)))
+    # That half of the factors agree to a few percent is no chance: these are right, unless some
+    # efforts are currents, as those of equal drives agree as well.
     ratios = CERTAIN * np.linalg.norm(deviations[:, None] - deviations, axis=2)
     agree = (apart < ratios) & (ratios < RELEVANT)
     alike = int(np.max(agree[np.ix_(usual, usual)].sum(axis=1))) + 1
@@ -301,5 +348,8 @@ def _unlike(solved: SolvedProblem) -> _Unlike | None:
             for name, one, unlike in zip(names, np.exp(change), is_unlike, strict=True)
             if unlike
         },
-        alike > 1 and 2 * alike >= int(known.sum()),
+        alike > 1
+        and 2 * alike >= int(known.sum())
+        and (are_plausible or GAINS[0] < np.exp(right) < GAINS[1]),
+        are_plausible,
     )

@@ -41,14 +41,17 @@ CHECK_DRIVER = (
 FOLLOWS = "; the other alarms may follow from this"
 
 
-def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Identification:
+def with_explained_alarms(
+    problem: LoadedProblem, found: Identification, *, has_known_units: bool
+) -> Identification:
     """Return an identification with alarms about single joints, and likely causes of all alarms.
 
     Alarms about joints are those of a fixed base that move and whose effort is not predicted at
     all, and those at rest whose effort is not predicted. If there is any alarm, the log is searched
     for joints that it exchanges or reverses. If there are any, that alarm comes first. Because
     their readings would distort other causes, none is tried, and findings of the checks that
-    depend on the readings are left out.
+    depend on the readings are left out. ``has_known_units`` says whether the user gave all efforts
+    in the model's units; factors that the log itself shows do not excuse wrong signs.
     """
     if found.estimate.verdict is None:
         return found
@@ -59,7 +62,7 @@ def with_explained_alarms(problem: LoadedProblem, found: Identification) -> Iden
     named = set[str]()
     unpredicted, unjudged = _unpredicted(problem, found)
     readings = None
-    is_signed = not (problem.options.drive_gains or has_unsigned_efforts(problem.checks.findings))
+    is_signed = has_known_units and not has_unsigned_efforts(problem.checks.findings)
     if (found.alarms or unpredicted or resting) and is_signed:
         readings = find_readings(tuple(dataset.segments), model)
     lacks_inertia = any(one.kind is Kind.MISSING_INERTIA for one in problem.checks.findings)

@@ -1,8 +1,8 @@
 """Joints whose readings a log exchanges or reverses, found from the efforts."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 
@@ -166,7 +166,7 @@ class JointReadings:
         return Finding.of(topic, Kind.JOINT_READINGS, text, {})
 
 
-def find_readings(segments: Sequence[Segment], robot: RobotModel) -> JointReadings | None:
+def find_readings(segments: Iterable[Segment], robot: RobotModel) -> JointReadings | None:
     """Return how the joints of a log are to be read; None if their readings are right.
 
     Joints are exchanged or reversed one after another as long as that explains the efforts better.
@@ -176,34 +176,24 @@ def find_readings(segments: Sequence[Segment], robot: RobotModel) -> JointReadin
 
     Parameters
     ----------
-    segments : sequence of Segment
+    segments : iterable of Segment
         Of the log.
     robot : RobotModel
     """
-    blocks = list(some_blocks(segments))[:BLOCKS]
-    driven = np.any([np.isfinite(one.effort).any(axis=0) for one in blocks], axis=0)
-    measured = [robot.joint_names.index(name) for name in robot.measured_joint_names]
-    moving = [index for index in measured if blocks and driven[index]]
-    if not 0 < len(moving) <= MOST_JOINTS:
+    log = _LogPart.of(segments, robot)
+    if not 0 < len(log.moving) <= MOST_JOINTS:
         return None
-
-    def read(readings: JointReadings) -> LooseRows | None:
-        return loose_rows([readings.applied_to(one) for one in blocks], robot)
-
-    driven_names = frozenset(robot.joint_names[index] for index in moving)
-    readings = replace(JointReadings.unchanged(robot.joint_names), driven=driven_names)
-    rows = read(readings)
+    moving, readings = log.moving, log.readings
+    rows = log.rows(readings)
     if rows is None:
         return None
     first = rows.fit()
-    has_wrenches = any(one.wrench_frames for one in blocks)
-    if not has_wrenches:
-        together = _reversed_together(readings, first, moving, read)
-        if together is not None:
-            return together
-    explained = first.shares[moving].max() < EXPLAINED
+    if (together := _reversed_together(log, first)) is not None:
+        return together
+    has_wrenches = log.has_wrenches
+    explained = first.shares[[*moving]].max() < EXPLAINED
     reversals = REVERSALS_BESIDE_WRENCHES if has_wrenches else REVERSALS
-    found = None if explained else _likelier(readings, rows, moving, reversals, read)
+    found = None if explained else _likelier(log, rows, reversals)
     readings, best = found or (readings, first)
     for joint in () if has_wrenches else moving:
         if best.power[joint] < -DRIVEN and best.shares[joint] < MOST_OF_IT:
@@ -212,24 +202,78 @@ def find_readings(segments: Sequence[Segment], robot: RobotModel) -> JointReadin
     return readings if readings.changed else None
 
 
-def _reversed_together(
-    readings: JointReadings,
-    own: LooseFit,
-    moving: Sequence[int],
-    read: Callable[[JointReadings], LooseRows | None],
-) -> JointReadings | None:
+def find_common_reversal(segments: Iterable[Segment], robot: RobotModel) -> JointReadings | None:
+    """Return the readings of a log that reverses all efforts or all positions, else None.
+
+    A log in which friction takes power costs a single fit: it is not searched any further.
+
+    Parameters
+    ----------
+    segments : iterable of Segment
+        Of the log.
+    robot : RobotModel
+    """
+    log = _LogPart.of(segments, robot)
+    rows = log.rows(log.readings) if log.moving else None
+    return None if rows is None else _reversed_together(log, rows.fit())
+
+
+@dataclass(frozen=True)
+class _LogPart:
+    """The first blocks of a log.
+
+    Attributes
+    ----------
+    blocks : tuple of Segment
+    robot : RobotModel
+    moving : tuple of int
+        Joints that have efforts and measured positions.
+    """
+
+    blocks: tuple[Segment, ...]
+    robot: RobotModel
+    moving: tuple[int, ...]
+
+    @classmethod
+    def of(cls, segments: Iterable[Segment], robot: RobotModel) -> "_LogPart":
+        blocks = tuple(islice(some_blocks(segments), BLOCKS))
+        if not blocks:
+            return cls((), robot, ())
+        driven = np.any([np.isfinite(one.effort).any(axis=0) for one in blocks], axis=0)
+        measured = [robot.joint_names.index(name) for name in robot.measured_joint_names]
+        return cls(blocks, robot, tuple(index for index in measured if driven[index]))
+
+    @property
+    def readings(self) -> JointReadings:
+        """Those of the joints, unchanged."""
+        names = self.robot.joint_names
+        driven = frozenset(names[index] for index in self.moving)
+        return replace(JointReadings.unchanged(names), driven=driven)
+
+    @property
+    def has_wrenches(self) -> bool:
+        """Whether any wrench is measured."""
+        return any(one.wrench_frames for one in self.blocks)
+
+    def rows(self, readings: JointReadings) -> LooseRows | None:
+        """Return the rows of the log with other readings; None if it is too short."""
+        return loose_rows([readings.applied_to(one) for one in self.blocks], self.robot)
+
+
+def _reversed_together(log: _LogPart, own: LooseFit) -> JointReadings | None:
     """Return readings with all efforts, or all positions, reversed if friction shows that.
 
-    Single joints do not: their links may have any mass here, and explain either sign.
+    Single joints do not: their links may have any mass here, and explain either sign. ``own`` is
+    the fit to the readings of the log.
     """
-    if own.dissipates:
+    if own.dissipates or log.has_wrenches:
         return None
     found = {}
     for signs in ((1.0, -1.0), (-1.0, 1.0)):
-        changed = readings
-        for joint in moving:
+        changed = log.readings
+        for joint in log.moving:
             changed = changed.with_reversed(joint, *signs)
-        if (rows := read(changed)) is not None:
+        if (rows := log.rows(changed)) is not None:
             found[signs] = replace(changed, unexplained=(fit := rows.fit()).unexplained), fit
     if len(found) < 2:
         return None
@@ -237,25 +281,25 @@ def _reversed_together(
     if other.cost + EVIDENCE < fit.cost:
         efforts, fit = positions, other
     is_likelier = fit.cost < own.cost and fit.unexplained < MOST_LEFT
-    takes_power = bool(np.all(fit.power[moving] > 0)) and fit.dissipates
+    takes_power = bool(np.all(fit.power[[*log.moving]] > 0)) and fit.dissipates
     return efforts if is_likelier and takes_power else None
 
 
 def _likelier(
-    readings: JointReadings,
-    rows: LooseRows,
-    moving: Sequence[int],
-    reversals: Sequence[tuple[float, float]],
-    read: Callable[[JointReadings], LooseRows | None],
+    log: _LogPart, rows: LooseRows, reversals: Sequence[tuple[float, float]]
 ) -> tuple[JointReadings, LooseFit] | None:
-    """Return readings that explain the efforts much better, with their fit; None if none do."""
+    """Return readings that explain the efforts much better, with their fit; None if none do.
+
+    ``rows`` are those of the readings of the log.
+    """
+    readings = log.readings
     count = int(rows.valid.sum())
     best = first = rows.fit()
     while True:
         tried = [
             (found.fit(), changed, joint)
-            for changed, joint in _changes(readings, moving, reversals)
-            if (found := read(changed)) is not None
+            for changed, joint in _changes(readings, log.moving, reversals)
+            if (found := log.rows(changed)) is not None
         ]
         fit, changed, joint = min(tried, key=lambda one: one[0].cost, default=(best, readings, -1))
         if fit.cost > best.cost - max(EVIDENCE, LEAST_GAIN * count):
@@ -264,7 +308,7 @@ def _likelier(
         if joint is not None and min(rivals) < fit.cost + EVIDENCE:
             break
         best, readings = fit, changed
-    least = HALVED * count * readings.changed / len(moving)
+    least = HALVED * count * readings.changed / len(log.moving)
     if first.cost - best.cost <= least or best.unexplained >= MOST_LEFT:
         return None
     return readings, best

@@ -38,7 +38,7 @@ SELDOM = 0.05
 
 NO_OPTION = "no option models it, but the standard deviations contain it"
 WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, with warm drives"
-WRONG_EFFORTS = "the wrong factors of efforts in another alarm may explain it; correct these first"
+WRONG_EFFORTS = "the wrong efforts in another alarm may explain it; correct these first"
 WRONG_WEIGHING = "the wrong weighing or gain in another alarm may explain it; correct that first"
 FROZEN = "the joint at rest in another alarm may explain it; check that first"
 MISSING_INERTIA = "the missing inertia in another alarm may explain it; correct that first"

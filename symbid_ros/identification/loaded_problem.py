@@ -353,4 +353,11 @@ def _check(
         factors.report(dataset.source)
         dataset = replace(dataset, segments=ConvertedSegments(dataset.segments, factors.values))
     robot, kinds = _expected_robot(parameters, prior), options.sensor_error_kinds
-    return check_dataset(dataset, streams, robot, estimated=kinds, watch=watch)
+    return check_dataset(
+        dataset,
+        streams,
+        robot,
+        estimated=kinds,
+        has_known_units=options.has_known_units,
+        watch=watch,
+    )

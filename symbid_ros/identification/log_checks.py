@@ -24,7 +24,7 @@ from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.identification.calibration import Mounting
 from symbid_ros.identification.dataset import Dataset
-from symbid_ros.identification.joint_readings import find_readings
+from symbid_ros.identification.joint_readings import find_common_reversal, find_readings
 from symbid_ros.identification.missing_inertia import (
     find_missing_inertia,
     missing_inertia_finding,
@@ -129,6 +129,7 @@ def check_dataset(
     robot: RobotModel,
     *,
     estimated: Collection[SensorErrorKind],
+    has_known_units: bool = True,
     watch: ModelWatch | None = None,
 ) -> LogChecks:
     """Check a log by itself and against the model, and log a warning for each harmless finding.
@@ -145,6 +146,9 @@ def check_dataset(
     estimated : collection of str
         Sensor errors that are estimated with the robot; they are not findings then: mountings
         of IMUs, delays, and offsets of wrench sensors.
+    has_known_units : bool
+        Whether all efforts have the unit and the sign of torques and forces. Signs that follow from
+        first guesses of unknown factors are not checked.
     watch : ModelWatch, optional
         Of the same robot and log, if it has seen the segments already.
 
@@ -194,8 +198,10 @@ def check_dataset(
                 topic,
                 np.degrees(np.linalg.norm(one.rotation)),
             )
-    if not robot.floating and any(one.kind in OF_READINGS for one in unusable(found)):
-        found = _with_readings(found, dataset, robot, checks.joint_topic)
+    if not robot.floating and statistics is not None and not has_unsigned_efforts(of_streams):
+        found = _with_readings(
+            found, dataset, robot, checks.joint_topic, has_known_units=has_known_units
+        )
     _refuse_unusable(source, found)
     findings = merged(of_streams, found)
     for finding in findings:
@@ -221,15 +227,31 @@ def _model_statistics(
 
 
 def _with_readings(
-    found: Sequence[Finding], dataset: Dataset, robot: RobotModel, topic: str
+    found: Sequence[Finding],
+    dataset: Dataset,
+    robot: RobotModel,
+    topic: str,
+    *,
+    has_known_units: bool,
 ) -> list[Finding]:
-    """Return findings in which wrong positions of joints replace what follows from them.
+    """Return findings in which wrong readings of joints replace what follows from them.
 
     A reversed position gives the efforts of other joints the wrong sign. Efforts that are reversed
-    themselves keep their findings, which know their gains.
+    themselves keep their findings, which know their gains, unless all are and a finding names only
+    some. Without findings, all efforts or positions may be reversed where no single joint shows it;
+    that costs a fit.
     """
-    readings = find_readings(tuple(dataset.segments), robot)
-    if readings is None or readings.are_positions_right:
+    segments = dataset.segments
+    if any(one.kind in OF_READINGS for one in unusable(found)):
+        readings = find_readings(segments, robot)
+        signs = {name for one in found if one.kind is Kind.TORQUE_SIGN for name in one.figures}
+        is_known = readings is not None and readings.are_positions_right
+        if readings is not None and readings.are_all_efforts_reversed:
+            is_known = signs.issuperset(f"{name}/gain" for name in readings.reversed_efforts)
+    else:
+        readings = find_common_reversal(segments, robot) if has_known_units else None
+        is_known = False
+    if readings is None or is_known:
         return [*found]
     return [readings.finding(topic), *(one for one in found if one.kind not in OF_READINGS)]
 

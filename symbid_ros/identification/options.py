@@ -411,6 +411,11 @@ class IdentifyOptions(RobotOptions):
         return [name for name in names(self.drive_gain) if name != "none"]
 
     @property
+    def has_known_units(self) -> bool:
+        """Whether all efforts have the unit and the sign of torques and forces."""
+        return not self.drive_gains or self.drive_gain_percent is not None
+
+    @property
     def finds_drive_gains(self) -> bool:
         """Whether efforts with wrong factors are searched for in the log."""
         return not self.drive_gain and not self.has_further_unknowns and self.searches

@@ -64,6 +64,7 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
         When the log cannot be identified.
     """
     report("solving")
+    has_known_units = problem.options.has_known_units
     found = problem.solve()
     log = coverage(problem)
     checked, forces = None, None
@@ -86,7 +87,8 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
         if wrong is not None:
             alarm = wrong.alarm
             problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
-    found = problem.with_provenance(with_explained_alarms(problem, found))
+    found = with_explained_alarms(problem, found, has_known_units=has_known_units)
+    found = problem.with_provenance(found)
     last = () if alarm is None else (alarm,)
     model = problem.columns.model
     if not model.floating and motionless_joints(problem.dataset.samples.position, model).all():

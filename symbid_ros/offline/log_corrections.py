@@ -20,7 +20,7 @@ from symbid_ros.diagnosis.common_scale import (
     unit_name,
 )
 from symbid_ros.diagnosis.doctor import diagnose
-from symbid_ros.diagnosis.effort_findings import GAINS
+from symbid_ros.diagnosis.effort_findings import GAINS, within_limit
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, has_unsigned_efforts
 from symbid_ros.diagnosis.forces import EXPLAINED
 from symbid_ros.diagnosis.joint_checks import DEGREES
@@ -260,14 +260,14 @@ class LogCorrections:
             std = found.figures.get(f"{name}/effort_gain_std", 0.0)
             if gain is None:
                 continue
-            if std > KNOWN * max(abs(gain), 1.0):
+            if std > KNOWN * max(abs(gain), 1.0) or f"{name}/load_share" in found.figures:
                 unknown.append(name)
             else:
                 factors[name] = gain / common
         figures = _figures(found)
         # Masses of the model are wrong instead if the doctor says so and gives no joint's factor.
         if "masses_times" not in figures or any("/reads" in name for name in figures):
-            self._correct_factors(factors, unknown, figures)
+            self._correct_factors(factors, unknown, {**found.figures, **figures})
         if "effort_scale" not in self.setup.options:
             self._reverse_efforts(found)
         for one in found.findings:
@@ -288,8 +288,9 @@ class LogCorrections:
         unknown : sequence of str
             The other driven joints.
         figures : mapping of str to float
-            Of the findings: RMS efforts over the limits of the model as ``<joint>/times_limit``,
-            and ``masses_times`` if the masses of the model may be wrong.
+            Of the diagnosis and its findings: RMS efforts as ``<joint>/effort_rms``, those over the
+            limits of the model relative to these as ``<joint>/times_limit``, and ``masses_times``
+            if the masses of the model may be wrong.
         """
         scaled = {name: one for name, one in factors.items() if not GAINS[0] < one < GAINS[1]}
         driven = [name for name in self.robot.joint_names if name in factors or name in unknown]
@@ -312,7 +313,11 @@ class LogCorrections:
                 return
             if len(unknown) > len(scaled):
                 return  # so few joints do not tell units from errors of the model
-            scaled |= dict.fromkeys(unknown, median(map(abs, scaled.values())))
+            usual = median(map(abs, scaled.values()))
+            for joint in self.robot.joints:
+                if joint.name in unknown:
+                    rms = figures.get(f"{joint.name}/effort_rms", 0.0)
+                    scaled[joint.name] = within_limit(usual, rms, joint.effort)
             unknown = ()
         self._scale(scaled)
         self._scale({name: MILLI for name in in_milli if name in unknown}, MILLI)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from arm_log import arm_streams
+from arm_log import arm_streams, without_load
 from bag_editing import Messages, edit_bag
 from documented_robots import ur5_urdf
 from foreign_bags import joint_state, joints_only
@@ -184,6 +184,28 @@ def test_drives_without_a_visible_load_have_the_unit_of_the_others(tmp_path, fac
     assert setup.options["drive_gain"] == list(arm.joint_names)
     found = {name: float(one) for name, one in entries(setup.options["effort_scale"]).items()}
     assert list(found.values())[1:3] == pytest.approx([1 / factor] * 2, rel=0.3)
+
+
+def test_an_effort_without_its_load_gets_no_factor(tmp_path) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 20.0, 1, friction=0.05).joints
+    rows = zip(read.stamp, read.position, read.velocity, without_load(read, 1), strict=True)
+    messages = [joint_state(int(stamp), arm.joint_names, *one) for stamp, *one in rows]
+    setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    assert not {"effort_scale", "drive_gain"} & set(setup.options)
+    assert any("does not show the load" in line for line in setup.comments[""])
+
+
+def test_a_factor_of_the_others_keeps_an_effort_within_its_limit(tmp_path) -> None:
+    """Where no load shows the factor of a joint, its limit may."""
+    arm = load_model(ur5_urdf(), "fixed")
+    factors = 0.13 * np.array([1, 1, 1, 1, 1, 20])
+    setup = setup_with_efforts(tmp_path, arm, factors, friction=0.08)
+    found = {name: float(one) for name, one in entries(setup.options["effort_scale"]).items()}
+    last = arm.joint_names[-1]
+    rms = setup.diagnosis.figures[f"{last}/effort_rms"]  # as it is read with these factors
+    assert rms == pytest.approx(arm.joints[-1].effort, rel=0.01)
+    assert min(one for name, one in found.items() if name != last) > 2 * found[last]
 
 
 def test_a_load_that_the_model_lacks_is_no_unit(tmp_path) -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm_log import arm_streams
+from arm_log import arm_streams, without_load
 from documented_robots import packaged_urdf, ur5_urdf
 from expected_errors import raises_code
 
@@ -160,6 +160,21 @@ def test_magnitudes_are_not_taken_for_wrong_signs(ur5, sign) -> None:
     alarms = sy.identify(ur5, log, no_holdout=True).alarms
     assert any("as if it were a magnitude" in one for one in alarms)
     assert not any("opposite sign" in one for one in alarms)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("joint", [1, 2])
+def test_an_effort_without_its_load_has_no_factor(ur5, joint, seed) -> None:
+    """The load that the model implies is many times the effort, which shows friction alone."""
+    streams = arm_streams(ur5, SECONDS, seed, friction=0.05)
+    read = replace(streams.joints, effort=without_load(streams.joints, joint))
+    (finding,) = judged(ur5, replace(streams, joints=read), seed).findings
+    name = ur5.joint_names[joint]
+    assert (finding.kind, finding.severity) == (Kind.TORQUE_GAIN, Severity.WARNING)
+    assert list(finding.figures) == [f"{name}/load_share"]
+    assert finding.figures[f"{name}/load_share"] < 0.05
+    assert name in finding.message
+    assert "effort_scale" not in finding.message
 
 
 def test_one_drive_in_another_unit(ur5) -> None:

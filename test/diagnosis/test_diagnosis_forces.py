@@ -65,7 +65,7 @@ class Robot:
             weight=500.0,
             carried=self.carried,
             scale_evidence=ScaleEvidence(self.density),
-            beyond_limits={},
+            effort_limits={},
             wrench_noise=(0.0, 0.0),
             unloaded=SimpleNamespace(suspect_force=lambda: self.suspect),
             efforts=[1.0],
@@ -384,6 +384,25 @@ def test_the_line_for_a_robot_file_names_every_joint_with_its_number():
     (every,) = effort_findings("/joints", known(1e-3, 1.3e-3, 0.9e-3), 1.0, UNKNOWN)
     assert 'effort_scale: ["0:=0.001", "1:=0.0013", "2:=0.0009", "x:=0.001"]' in every.message
     assert "give `drive_gain` all to" in every.message
+
+
+def test_efforts_without_their_load_have_no_factor():
+    """Unless all others have the same wrong unit, which is theirs as well."""
+    hidden = {"x": 0.04}
+    (found,) = effort_findings("/joints", known(1.0, 1.0, 1.0), 1.0, UNKNOWN, hidden=hidden)
+    assert found.figures == {"x/load_share": 0.04}
+    assert "effort of x does not show the load" in found.message
+    assert "explains 4 % of the effort" in found.message
+    (unit,) = effort_findings("/joints", known(1e-3, 1e-3, 1e-3), 1.0, UNKNOWN, hidden=hidden)
+    assert '"x:=0.001"' in unit.message
+
+
+def test_an_unseen_joint_gets_no_factor_beyond_its_limit():
+    gains = known(5.0, 6.0, 7.0)
+    for rms, factor in ((1.0, 6), (20.0, 2)):
+        limits = {"x": (rms, 40.0)}
+        (found,) = effort_findings("/joints", gains, 1.0, UNKNOWN, limits=limits)
+        assert f'"x:={factor}"' in found.message
 
 
 def test_unlike_factors_without_a_right_one_are_those_of_currents():

@@ -233,6 +233,26 @@ def test_factors_of_all_joints_are_uncertain_if_several_err(robot, gain):
     np.testing.assert_allclose(factors(stated), factors(found), rtol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("gain", "named"),
+    [((5.0, 5.0, 0.45), [0, 1, 2]), ((6.0, 0.5, 0.5), [0, 1, 2]), ((1.0, 10.0, 1.0), [1])],
+)
+def test_factors_that_differ_as_those_of_currents_are_identified(robot, model, gain, named):
+    """Equal factors of equal drives are no torques: only those that fit the model's masses are."""
+    log = log_of(robot, drives(robot, **FRICTION), gain=np.array(gain))
+    found = sy.identify(model, log)
+    (alarm,) = (one for one in found.alarms if Alarm.WRONG_FACTORS in one)
+    is_open = len(named) == len(gain)
+    assert ("only their ratios" in alarm) == is_open
+    assert any("leaves the common scale" in one for one in found.estimate.remarks) == is_open
+    sensors = [one.name for one in found.estimate.verdict.sensors]
+    assert sensors == [f"{robot.joint_names[index]}/drive_gain" for index in named]
+    relative = factors(found) / np.array(gain)[named]
+    np.testing.assert_allclose(relative / relative[0], 1.0, rtol=5e-3)
+    assert 0.75 < relative[0] < 1.25 if is_open else abs(relative[0] - 1) < 5e-3
+    assert found.estimate.holdout.percent_after < 0.5
+
+
 def test_a_sign_that_the_log_does_not_show_is_reported_once_if_factors_are_asked_for(robot, caplog):
     joints = log_of(robot, drives(robot)).streams().joints
     effort = joints.effort.copy()

@@ -3,11 +3,14 @@
 import re
 
 import pytest
-from drive_logs import arm, drives, log_of
+from drive_logs import SECONDS, arm, drives, log_of
+from expected_errors import raises_code
 
 import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Kind
+from symbid_ros.identification.joint_alarms import with_explained_alarms
 from symbid_ros.identification.joint_readings import JointReadings, find_readings
+from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.sensor_mapping import SensorMapping
@@ -15,11 +18,11 @@ from symbid_ros.messages.sensor_mapping import SensorMapping
 SEEDS = 1, 2, 5
 
 
-def arm_and_log(seed, position=1.0, effort=1.0):
+def arm_and_log(seed, position=1.0, effort=1.0, seconds=SECONDS):
     """Return an arm and its log, whose readings are multiplied by these factors."""
     robot = arm(seed=seed, links=5)
     truth = drives(robot, viscous=0.4, coulomb=0.8)
-    joints = log_of(robot, truth, seed=seed).streams().joints
+    joints = log_of(robot, truth, seed=seed, seconds=seconds).streams().joints
     time, position, effort = 1e-9 * joints.stamp, position * joints.position, effort * joints.effort
     return robot, sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
 
@@ -52,6 +55,30 @@ def test_one_finding_names_all_joints(seed) -> None:
     signs = Kind.TORQUE_SIGN, Kind.JOINT_READINGS
     (finding,) = [one for one in sy.diagnose(robot, log).findings if one.kind in signs]
     assert all(f'"{name}:=-1' in finding.message for name in robot.joint_names)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seconds", [8.0, SECONDS])
+def test_a_log_that_reverses_all_efforts_is_refused(seed, seconds) -> None:
+    """Also one that is too short for the gain of any single joint."""
+    robot, log = arm_and_log(seed, effort=-1.0, seconds=seconds)
+    every = ", ".join(f'"{name}:=-1(.0)?"' for name in robot.joint_names)
+    with raises_code("E517", rf"effort_scale: \[{every}\]"):
+        sy.identify(robot, log, no_holdout=True)
+    right = arm_and_log(seed, seconds=seconds)
+    assert not any("opposite sign" in one for one in sy.identify(*right, no_holdout=True).alarms)
+
+
+def test_factors_that_are_found_do_not_hide_a_reversed_effort() -> None:
+    """Not even those that the program tries, for which the user did not ask."""
+    robot, log = arm_and_log(1, effort=-1.0, seconds=8.0)
+    problem = load_problem(robot, log, sy.IdentifyOptions(unchecked=True))
+    with_gains = problem.with_drive_gains(("all",), 20.0)
+    found = with_gains.solve()
+    alarms = with_explained_alarms(with_gains, found, has_known_units=True).alarms
+    assert "efforts of all joints have the opposite sign" in alarms[0]
+    alarms = with_explained_alarms(with_gains, found, has_known_units=False).alarms
+    assert not any("opposite sign" in one for one in alarms)
 
 
 def test_an_alarm_gives_options_that_can_be_given() -> None:

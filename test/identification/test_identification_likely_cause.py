@@ -151,7 +151,7 @@ def test_efforts_in_another_unit_are_the_one_cause_of_correlated_residuals(robot
     (units,) = [one for one in alarms if "times what the motion implies" in one]
     assert "effort of joint_0 reads" in units
     (coloured,) = [one for one in alarms if "white noise" in one]
-    assert "the wrong factors of efforts in another alarm" in coloured
+    assert "the wrong efforts in another alarm" in coloured
     assert "none of these" not in coloured
 
 

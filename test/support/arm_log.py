@@ -11,6 +11,14 @@ from symbid_ros.signals.streams import JointStream, Streams
 PAUSE = 1.5  # s at rest at the beginning and at the end
 
 
+def without_load(read: JointStream, joint: int) -> np.ndarray:
+    """Return efforts in which one drive overcomes friction alone, as if a hand did the rest."""
+    velocity, rng = read.velocity[:, joint], np.random.default_rng(0)
+    effort = read.effort.copy()
+    effort[:, joint] = np.tanh(velocity / 0.05) + velocity + 0.3 * rng.standard_normal(len(effort))
+    return effort
+
+
 def arm_streams(model, seconds=40.0, seed=0, *, rate=200.0, friction=0.0, resting=()):
     """Return what the joints of a fixed arm read, with noise in proportion to its effort limits.
 
