@@ -343,10 +343,14 @@ def _combined(
     J = J[:, contacts.components]
     some = np.eye(model.dof)[combined]
     N = annihilator(J, contacts.damping, some, orthonormal=not contacts.has_all_rows)
-    is_known = np.isfinite(rows)
-    kept = N @ np.where(is_known, rows, 0.0)
-    if not is_known.all():
-        kept[(np.abs(N) > NEGLIGIBLE).astype(float) @ ~is_known > 0] = np.nan
+    kept = N @ rows
+    # NaN times zero is NaN, so columns that contain NaN are combined without it.
+    gaps = np.flatnonzero(~np.isfinite(kept).all(axis=(0, 1)))
+    if len(gaps):
+        is_known = np.isfinite(rows[..., gaps])
+        known = N @ np.where(is_known, rows[..., gaps], 0.0)
+        known[(np.abs(N) > NEGLIGIBLE).astype(float) @ ~is_known > 0] = np.nan
+        kept[..., gaps] = known
     result[:, combined] = kept
     return result
 

@@ -8,7 +8,7 @@ from quadruped_log import FEET, quadruped_urdf
 
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion, equation_residual
 from symbid_ros.dynamics.unmeasured_contacts import (
     variance_of_all_rows,
     with_all_rows,
@@ -113,6 +113,23 @@ def test_the_variance_is_unknown_where_an_unknown_row_enters(quadruped):
         assert np.isinf(found[:, unknown]).all()
         assert np.isfinite(found[:, known]).all()
     np.testing.assert_allclose(found[:, leg], 1.0)
+
+
+@pytest.mark.parametrize("terms", [("viscous", "coulomb"), ("load", "offset")])
+def test_residuals_without_the_regressor_are_those_of_the_rows(quadruped, terms):
+    motion = random_motions(quadruped, 12)
+    motion.effort[4:8, 2] = np.nan
+    touching = np.ones((12, 4), dtype=bool)
+    touching[6:, 1] = False
+    motion = replace(motion, touching=touching)
+    parameters = ParameterSet(with_contacts(quadruped, POINTS), terms)
+    phi = np.random.default_rng(3).normal(size=len(parameters))
+    rows = equation_of_motion(parameters, motion)
+    expected = rows.y - rows.K @ phi
+    assert np.isnan(expected).any()
+    size = np.nanmax(np.abs(expected))
+    found = equation_residual(parameters, motion, phi)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * size)
 
 
 def test_a_missing_effort_or_a_sticking_joint_spoils_only_combinations_that_contain_it(quadruped):

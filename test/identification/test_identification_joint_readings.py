@@ -11,6 +11,7 @@ from symbid_ros.identification.joint_readings import JointReadings, find_reading
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.sensor_mapping import SensorMapping
+from symbid_ros.progress import reported_to
 
 SEEDS = 1, 2, 5
 
@@ -52,6 +53,20 @@ def test_one_finding_names_all_joints(seed) -> None:
     signs = Kind.TORQUE_SIGN, Kind.JOINT_READINGS
     (finding,) = [one for one in sy.diagnose(robot, log).findings if one.kind in signs]
     assert all(f'"{name}:=-1' in finding.message for name in robot.joint_names)
+
+
+def test_a_long_search_reports_its_progress() -> None:
+    heard = []
+    robot, log = arm_and_log(1, effort=[-1.0, 1.0, 1.0, 1.0])
+    segments = first_segments(log, robot)
+    with reported_to(lambda step, share: heard.append((step, share))):
+        find_readings(segments, robot)
+    assert {step for step, _ in heard} == {"looking for exchanged and reversed joints"}
+    shares = [share for _, share in heard]
+    first = shares[: shares.index(0.0, 1) if 0.0 in shares[1:] else None]
+    assert first[0] == 0.0
+    assert 0.9 < first[-1] < 1.0
+    assert first == sorted(first)
 
 
 def test_an_alarm_gives_options_that_can_be_given() -> None:
