@@ -494,12 +494,14 @@ def variance(found: sy.Result, motion: Samples) -> FloatArray:
     """Return the variances (N, J) of these torques."""
     one, parameters = found._identification, found._parameters
     assert one.factor is not None
-    K = equation_of_motion(placed(found), motion).K
-    if isinstance(one.rows, CalibratingRows):
+    K, factor = equation_of_motion(placed(found), motion).K, one.factor[: len(parameters)]
+    # The motion is known, so biases of the IMU play no part.
+    if isinstance(one.rows, CalibratingRows) and "imu_bias" not in one.rows.errors.kinds:
+        factor = one.factor
         at = LinearizationPoint(found.estimate.value, one.unknowns[len(parameters) :])
         columns = error_columns(parameters, one.rows.errors, at, readings(motion))
         K = np.concatenate([K, -columns], axis=2)
-    return np.sum((K[:, -motion.position.shape[1] :] @ one.factor) ** 2, axis=2)
+    return np.sum((K[:, -motion.position.shape[1] :] @ factor) ** 2, axis=2)
 
 
 def readings(motion: Samples) -> SensorSamples:

@@ -41,6 +41,8 @@ SENSOR_ERROR_KINDS: tuple[SensorErrorKind, ...] = get_args(SensorErrorKind)
 TYPICAL_ERRORS: tuple[SensorErrorKind, ...] = SENSOR_ERROR_KINDS[:7]
 # Errors of the model's geometry.
 KINEMATIC_ERRORS: tuple[SensorErrorKind, ...] = ("link_length", "joint_axis")
+# Errors of geometry, which also change where the forces of contacts without a sensor act.
+UNSEEN_WITH_CONTACTS: tuple[SensorErrorKind, ...] = (*KINEMATIC_ERRORS, "frame_pose")
 
 
 class JointTerm(NamedTuple):

@@ -126,7 +126,8 @@ def run() -> int:
     except typer.exceptions.TyperException as error:
         if not error.format_message():  # no arguments: the help has been printed
             return USAGE
-        message = f"{_plain(error.format_message()).rstrip('.')}; see `{_named_command()} --help`"
+        hint = _command_of_group() or f"see `{_named_command()} --help`"
+        message = f"{_plain(error.format_message()).rstrip('.')}; {hint}"
     text = " ".join(message.split())
     console.print(f"symbid: {text}", style="red", markup=False, highlight=False)
     return USAGE
@@ -178,6 +179,16 @@ def _named_command() -> str:
             break
         names.append(word)
     return " ".join(names)
+
+
+def _command_of_group() -> str:
+    """Return the command of a group that the user named without the group; empty if none."""
+    word = next(iter(sys.argv[1:]), "")
+    commands: dict[str, Any] = getattr(typer.main.get_command(app), "commands", {})
+    for name, group in commands.items():
+        if word not in commands and word in getattr(group, "commands", {}):
+            return f"give `symbid {name} {word}`"
+    return ""
 
 
 class _Formatter(logging.Formatter):

@@ -319,11 +319,11 @@ def _verdict_lines(estimate: Estimate, verdict: Verdict) -> list[RenderableType]
     if not verdict.alarms:
         return [*lines, Text("no alarm", style="green")]
     alarms = counted(len(verdict.alarms), "alarm")
-    advice = (
-        "use this model for predictions, not its single parameters"
-        if estimate.predicts_better
-        else "do not trust these numbers yet"
-    )
+    if estimate.predicts_better:
+        advice = "use this model for predictions, not its single parameters"
+    else:
+        reason = estimate.doubt and f", as {estimate.doubt}"
+        advice = f"do not trust these numbers yet{reason}"
     return [*lines, Text(f"{alarms}: {advice}", style="bold red")]
 
 

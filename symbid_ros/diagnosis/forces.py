@@ -154,7 +154,8 @@ def check_forces(
     # Vanishing gains explain any log.
     vanishing = bool(found or rotations) and not EXPLAINED[0] <= common <= EXPLAINED[1]
     if several or vanishing:
-        found = [_contradiction([joints, *topics.values()], _noise_remark(statistics))]
+        remark = _noise_remark(statistics) + _offset_remark(statistics, topics)
+        found = [_contradiction([joints, *topics.values()], remark)]
     left_out: tuple[str, ...] = ()
     if rotations and not is_anchored:
         left_out = (
@@ -346,6 +347,17 @@ def _noise_remark(statistics: ModelStatistics) -> str:
     return (
         f"; white noise of the wrenches, {torque:.2g} Nm and {force:.2g} N, is large beside "
         f"efforts of {usual:.2g} Nm (N); average the readings in the driver"
+    )
+
+
+def _offset_remark(statistics: ModelStatistics, topics: Mapping[str, str]) -> str:
+    """Return a remark about a foot that is never in the air, unlike all others."""
+    frame, force = statistics.unloaded.suspect_force()
+    if not frame:
+        return ""
+    return (
+        f"; {topics[frame]} never reads less than {force:.2g} N, although all other feet are in "
+        "the air at times; tare it if its foot is as well"
     )
 
 

@@ -23,6 +23,8 @@ UNLOADED_SHARE, UNLOADED, LOADED_SHARE = 0.05, 20.0, 0.2
 FEWEST, OUTLIER = 4, 3.0
 # Share of the parts that must agree: the force on a foot that hardly touches the ground varies.
 AGREEING = 0.5
+# Feet, at least, of which all but one show that the robot walks.
+FEWEST_FEET = 3
 # Scatter of the times in the air over that of white noise, above which the offset itself changes.
 WHITE = 2.0
 # Variance of a median over that of a mean.
@@ -85,7 +87,7 @@ class UnloadedSensors:
 
     def __init__(self, frames: tuple[str, ...], weight: float) -> None:
         self._frames, self._weight = frames, weight
-        self._largest = np.zeros(len(frames))
+        self._largest, self._least = np.zeros(len(frames)), np.full(len(frames), np.inf)
         # For each sensor and time in the air the mean (6,), its variance if noise is white, and the
         # number of parts.
         self._times: list[list[tuple[FloatArray, FloatArray, int]]] = [[] for _ in frames]
@@ -102,6 +104,7 @@ class UnloadedSensors:
         mean, noise = parts.mean(axis=1), parts.var(axis=1, ddof=1) / size
         force = np.linalg.norm(mean[:, :, 3:], axis=2)
         self._largest = np.maximum(self._largest, force.max(axis=0))
+        self._least = np.minimum(self._least, force.min(axis=0))
         is_light = force < min(UNLOADED, UNLOADED_SHARE * self._weight)
         for index, times in enumerate(self._times):
             edges = np.flatnonzero(np.diff(np.pad(is_light[:, index], 1).astype(int)))
@@ -126,6 +129,18 @@ class UnloadedSensors:
             std = np.maximum(std, LEAST_STD)
             found[frame] = UnloadedReading(mean, std, float(counts.sum()) * self._length)
         return found
+
+    def suspect_force(self) -> tuple[str, float]:
+        """Return the one sensor that always reads a force, and the least of it, N.
+
+        All others are unloaded at times. Its foot may be too, and the reading is an offset. The
+        name is empty if there is no such sensor.
+        """
+        is_loaded = self._least >= UNLOADED_SHARE * self._weight
+        if np.count_nonzero(is_loaded) != 1 or len(self._frames) < FEWEST_FEET:
+            return "", 0.0
+        index = int(np.argmax(is_loaded))
+        return self._frames[index], float(self._least[index])
 
 
 def _median(parts: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray, int]:

@@ -169,9 +169,9 @@ def _eliminated(
     components = np.array(possible)[np.sort(order[:rank])]
     damping = DAMPING * float(np.linalg.norm(J[:, components], 2, axis=(1, 2)).max())
     is_free = ~np.asarray(loads.any(axis=0))
-    projections = annihilator(J[:, components], damping, np.eye(model.dof)).mean(axis=0)
-    projections[:, :first] *= PREFERENCE
-    projections[:, [first + joint for joint in model.followers]] = 0.0
+    projections = annihilator(J[:, components], damping, np.eye(model.dof))
+    projections[..., :first] *= PREFERENCE
+    projections[..., [first + joint for joint in model.followers]] = 0.0
     free = own[is_free[own]]
     before = np.zeros(0, dtype=np.int64) if kept is None else np.setdiff1d(kept, free)
     others = np.setdiff1d(np.arange(model.dof), [*free, *before])
@@ -189,20 +189,21 @@ def _own_coordinates(model: RobotModel) -> IntArray:
 def _independent(projections: FloatArray, groups: Sequence[IntArray], count: int) -> IntArray:
     """Return the coordinates whose rows remain, at most ``count``, sorted.
 
-    Columns of the projections (n, n) that are nearly combinations of chosen ones are left out.
-    Coordinates of the first groups come first.
+    Columns of the projections (N, n, n) of postures that are combinations of chosen ones, in each
+    posture others, are left out. Coordinates of the first groups come first.
     """
     chosen: list[int] = []
     left = projections.copy()
     for group in groups:
-        if not len(group) or len(chosen) >= count:
-            continue
-        Q, R, order = qr(left[:, group], mode="economic", pivoting=True)
-        size = np.abs(R.diagonal())
-        some = int(np.sum(size > LEAST_SIZE))
-        some = min(some, count - len(chosen))
-        chosen += group[order[:some]].tolist()
-        left -= Q[:, :some] @ (Q[:, :some].T @ left)
+        while len(chosen) < count:
+            sizes = np.linalg.norm(left[..., group], axis=1)
+            mean = sizes.mean(axis=0)
+            if mean.max(initial=0.0) <= LEAST_SIZE:
+                break
+            best = int(np.argmax(mean))
+            chosen.append(int(group[best]))
+            axis = left[..., group[best], None] / np.maximum(sizes[:, best, None, None], NEGLIGIBLE)
+            left -= axis @ (axis.swapaxes(1, 2) @ left)
     found: IntArray = np.sort(np.array(chosen, dtype=np.int64))
     return found
 

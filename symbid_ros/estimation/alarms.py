@@ -40,6 +40,7 @@ class Alarm(StrEnum):
     TOTAL_MASS = "the total mass went from"
     SOLES = "the poses of resting soles vary"
     LACKING_JOINTS = "the log lacks"
+    LIFTED = "according to the flags,"
     READINGS = "the efforts contradict the readings of joints"
     UNPREDICTED_EFFORT = "the model does not predict the effort of"
     UNPREDICTED_END = "the first part of the log does not predict the last quarter"
@@ -55,10 +56,13 @@ class Alarm(StrEnum):
 def is_coloured(whiteness: float, unexplained: Sequence[UnexplainedForce]) -> bool:
     """Return whether residuals are correlated in time and not small against the forces.
 
-    Their size is unknown if ``unexplained`` is empty.
+    Their size is unknown if ``unexplained`` is empty. A large part of one force is enough, as a
+    coordinate with few rows, such as a joint of a leg that seldom swings, hardly adds to the
+    whiteness.
     """
     is_large = not unexplained or unexplained[0].share > SMALL
-    return whiteness > SUSPICIOUS_WHITENESS and is_large
+    is_correlated = whiteness > SUSPICIOUS_WHITENESS and is_large
+    return is_correlated or any(one.is_clearly_large for one in unexplained)
 
 
 def alarms(
@@ -194,4 +198,6 @@ def coloured_alarm(
         else "the model lacks an effect or a sensor's calibration is wrong; record a bag, for "
         "which `symbid identify` names the likely cause"
     )
-    return f"{size}{Alarm.COLOURED} (whiteness {whiteness:.1f}); {cause}"
+    # Single forces with few rows do not show in the whiteness.
+    figure = f" (whiteness {whiteness:.1f})" if whiteness > SUSPICIOUS_WHITENESS else ""
+    return f"{size}{Alarm.COLOURED}{figure}; {cause}"

@@ -270,6 +270,18 @@ class Observations:
         independent = self.rows.samples / self.inflation
         return self.inflation * (independent + coupled) / (independent - coupled) * moment
 
+    def residual_correlation(self, phi: FloatArray) -> FloatArray:
+        """Return the correlation (n, n) of the residuals of a row's coordinates at φ (p,).
+
+        In samples in which one of two residuals is unknown, they count as independent.
+        """
+        moment = self.rows.residual_moment(phi)
+        size = np.sqrt(moment.diagonal())
+        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+        correlation: FloatArray = moment * np.outer(scale, scale)
+        np.fill_diagonal(correlation, 1.0)
+        return correlation
+
     def variance_ratio(self, phi: FloatArray) -> FloatArray:
         """Return each coordinate's mean square residual over the variance (n,) that Σ has for it.
 
@@ -409,7 +421,9 @@ def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float
     if len(used) == 0:
         return 1.0
     some = np.ix_(used, used)
-    kept = float(eigh(after[some], definite(before[some]), eigvals_only=True)[-1])
-    independent = float(long.counts.diagonal()[used].min()) / long.inflation
-    chance = (1 + float(np.sqrt(len(used) / independent))) ** 2
-    return kept * long.window / short.window / chance
+    # A coordinate with few rows may keep more by chance. Its residual alone is divided by that.
+    independent = long.counts.diagonal()[used] / long.inflation
+    chance = 1 + np.sqrt(len(used) / independent)
+    after = after[some] / np.outer(chance, chance)
+    kept = float(eigh(after, definite(before[some]), eigvals_only=True)[-1])
+    return kept * long.window / short.window

@@ -19,8 +19,11 @@ SMALL = 0.01
 # Share above which no effect that the model lacks, such as friction, is the cause: a fit explains
 # at least nothing.
 GROSS = 1.2
-# Standard deviations of a residual's variance that chance explains.
-CHANCE = 2.0
+# Share above which predictions of a force are of no use.
+LARGE = 0.5
+# Standard deviations of a residual's variance that chance explains, and with which a single
+# coordinate raises an alarm.
+CHANCE, CLEAR = 2.0, 4.0
 # A force counts as at least this share of the largest of its unit: a joint that carries almost
 # nothing is not the one to look at.
 LEAST_FORCE = 0.05
@@ -42,6 +45,8 @@ class UnexplainedForce:
     share : float
         Unexplained share of the measured force, or of a twentieth of the largest such force if
         that is more.
+    deviations : float
+        By how much more of the residual lasts than of noise, in standard deviations of chance.
     """
 
     coordinate: str
@@ -49,6 +54,12 @@ class UnexplainedForce:
     size: float
     measured: float
     share: float
+    deviations: float = 0.0
+
+    @property
+    def is_clearly_large(self) -> bool:
+        """Whether a large part is unexplained, and chance is not the reason."""
+        return self.share > LARGE and self.deviations > CLEAR
 
     @property
     def is_gross(self) -> bool:
@@ -92,13 +103,14 @@ def unexplained_forces(
     ratio = short.window / long.window
     counts = short.counts.diagonal()
     independent = np.maximum(long.counts.diagonal() / long.inflation, 1)
-    chance = 1 + CHANCE * np.sqrt(2 / independent)
     before, after = (
         one.rows.residual_moment(phi).diagonal() / np.maximum(one.counts.diagonal(), 1)
         for one in (short, long)
     )
-    is_certain = after > chance * ratio * before
-    lasting = np.maximum(after - ratio * before, 0.0) / (1 - ratio)
+    noise = ratio * before
+    excess = np.divide(after - noise, noise, out=np.zeros_like(noise), where=noise > 0)
+    deviations = excess / np.sqrt(2 / independent)
+    lasting = np.maximum(after - noise, 0.0) / (1 - ratio)
     squares = short.rows.target_squares.copy()
     for column in factors:
         for row in np.flatnonzero(short.layout.structure[:, column]).tolist():
@@ -119,7 +131,13 @@ def unexplained_forces(
         scale = max(measured[i], LEAST_FORCE * largest[units[i]])
         share = size[i] / scale if scale > 0 else 0.0
         found.append(
-            UnexplainedForce(names[i], units[i], float(size[i]), float(measured[i]), float(share))
+            UnexplainedForce(
+                names[i],
+                units[i],
+                float(size[i]),
+                float(measured[i]),
+                float(share),
+                float(deviations[i]),
+            )
         )
-    certain = dict(zip(names, is_certain.tolist(), strict=True))
-    return tuple(sorted(found, key=lambda one: (not certain[one.coordinate], -one.share)))
+    return tuple(sorted(found, key=lambda one: (one.deviations <= CHANCE, -one.share)))

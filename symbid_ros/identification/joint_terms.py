@@ -143,7 +143,7 @@ class TermChoice:
         return replace(
             problem,
             observations=tuple(one.restricted(names) for one in observations),
-            stored=problem.observations,
+            stored=problem.data,
             parameters=parameters,
             prior=prior.marginal(names),
             pseudo_measurements=measurements,

@@ -32,6 +32,9 @@ RIDGE = 1e-3
 # Share of the rows with the largest value of a quantity, in which more than half of the square
 # error makes it "mostly" there.
 QUARTER, MOSTLY = 0.25, 0.5
+# Share of the log in which a contact touches less than any foot on which a robot stands or walks.
+# Before their first message, flags count as touching.
+SELDOM = 0.05
 
 NO_OPTION = "no option models it, but the standard deviations contain it"
 WARM = "leave `joint_terms` and `sensor_errors` out, or give a later `start`, with warm drives"
@@ -116,24 +119,50 @@ def explained(
 ) -> Identification:
     """Return an identification whose alarms name their likely cause.
 
-    Joints that the log lacks are named beside any alarm; other causes are tried for correlated
-    residuals, unless their cause is known. A brief disturbance comes first of all alarms.
+    Joints that the log lacks and contacts that are always lifted are named beside any alarm; other
+    causes are tried for correlated residuals, unless their cause is known. A brief disturbance
+    comes first of all alarms.
     """
     found = _with_tried_causes(problem, found, known_cause)
     if not found.alarms:
         return found
+    more = (*_lacking_joints(problem), *_lifted_contacts(problem))
+    return found.with_alarms((*found.alarms, *more)) if more else found
+
+
+def _lacking_joints(problem: LoadedProblem) -> tuple[str, ...]:
+    """Return an alarm about joints that the log lacks, which explains other alarms."""
     model = problem.parameters.model
     names = held_joints(model.joint_names, problem.dataset.segments)
     own = [name for name in names if name in model.measured_joint_names]
     if not own:
-        return found
+        return ()
     motion = "it moved" if len(own) == 1 else "they moved"
-    alarm = (
+    return (
         f"{Alarm.LACKING_JOINTS} {', '.join(own)}, assumed to be at rest: if {motion}, "
         "this explains the other alarms; record the joint states of all joints, or give the names "
-        "in the log as `rename_joint`"
+        "in the log as `rename_joint`",
     )
-    return found.with_alarms((*found.alarms, alarm))
+
+
+def _lifted_contacts(problem: LoadedProblem) -> tuple[str, ...]:
+    """Return an alarm about contacts that hardly touch anything according to their flags.
+
+    A flag that is stuck at false lets the model carry what this contact carries.
+    """
+    contacts = problem.parameters.model.contacts
+    each = [one.touching for one in problem.dataset.segments if one.touching is not None]
+    if contacts is None or not each:
+        return ()
+    share = np.concatenate(each).mean(axis=0)
+    lifted = [name for name, one in zip(contacts.frames, share, strict=True) if one < SELDOM]
+    if not lifted:
+        return ()
+    verb, subject = ("touches", "it stands") if len(lifted) == 1 else ("touch", "they stand")
+    return (
+        f"{Alarm.LIFTED} {', '.join(lifted)} hardly {verb} anything: if {subject}, this explains "
+        "the other alarms; correct the topic in `contact_flag`, or leave it out there",
+    )
 
 
 def held_joints(names: tuple[str, ...], segments: Iterable[Segment]) -> list[str]:

@@ -2,7 +2,13 @@
 
 from typing import TYPE_CHECKING
 
-from symbid_ros.choices import GAUSSIAN, KINEMATIC_ERRORS, SENSOR_ERROR_KINDS, TERMS
+from symbid_ros.choices import (
+    GAUSSIAN,
+    KINEMATIC_ERRORS,
+    SENSOR_ERROR_KINDS,
+    TERMS,
+    UNSEEN_WITH_CONTACTS,
+)
 from symbid_ros.errors import OptionError
 from symbid_ros.options import refuse_unused
 
@@ -98,10 +104,20 @@ def _check_sensor_errors(options: "IdentifyOptions") -> None:
 def _check_contacts(options: "IdentifyOptions") -> None:
     if not options.contacts:
         return
-    if options.sensor_error_kinds:
+    unknowable = [kind for kind in UNSEEN_WITH_CONTACTS if kind in options.sensor_error_kinds]
+    if unknowable:
         raise OptionError(
-            "`contact` leaves no reading to calibrate; leave `sensor_errors` and `tare` out", "E503"
+            f"`contact` leaves {', '.join(unknowable)} unknown; leave it out of `sensor_errors`",
+            "E503",
         )
+    if options.drive_gains:
+        raise OptionError(
+            "`drive_gain` needs the wrenches of contacts, which `contact` eliminates; give "
+            "`effort_scale` instead",
+            "E503",
+        )
+    if options.tare:
+        raise OptionError("`tare` is of foot sensors; leave it or `contact` out", "E503")
     if options.has_unplaced_payload:
         raise OptionError("`contact` needs the place of a `payload`; give LINK,MASS,X,Y,Z", "E503")
     if "load" in options.named_terms:

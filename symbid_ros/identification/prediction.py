@@ -18,7 +18,7 @@ from symbid_ros.dynamics.unmeasured_contacts import (
 )
 from symbid_ros.dynamics.upright import upward
 from symbid_ros.errors import EstimateError, OptionError, SymbidError
-from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.archive import load_archive, load_correlation
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.observations import Observations
@@ -100,8 +100,8 @@ class ForcePredictor:
     noise : (n,) float64 or None
         Variance of a row's residual in the identified log, (Nm)² or N²; None if it is unknown.
         With unmeasured contacts, that of the independent rows.
-    correlation : (n, n) float64
-        Of the residuals of a row's coordinates.
+    correlation : (n, n) float64 or None
+        Of the residuals of the independent rows' coordinates; None if they count as independent.
     settings : RowSettings
         How rows are made.
     seconds : frozenset of int
@@ -116,7 +116,7 @@ class ForcePredictor:
     linearization: FloatArray
     factor: FloatArray | None
     noise: FloatArray | None
-    correlation: FloatArray
+    correlation: FloatArray | None
     settings: RowSettings
     seconds: frozenset[int]
 
@@ -134,9 +134,7 @@ class ForcePredictor:
             linearization=found.unknowns if calibration is None else calibration.linearization,
             factor=found.factor,
             noise=_row_noise(estimate, parameters.model),
-            correlation=_row_correlation(
-                estimate, parameters.model, found.observations, found.unknowns
-            ),
+            correlation=found.correlation,
             settings=estimate.rows or RowSettings("weak", found.window),
             seconds=_seconds(found.observations),
         )
@@ -168,7 +166,6 @@ class ForcePredictor:
                     "E527",
                 )
             factor = np.concatenate([factor, calibration.factor])
-        observations = load_archive(folder / "information.npz")
         settings = estimate.rows
         if settings is None:
             window = None if estimate.verdict is None else estimate.verdict.window
@@ -182,9 +179,9 @@ class ForcePredictor:
             linearization=unknowns if calibration is None else calibration.linearization,
             factor=factor,
             noise=_row_noise(estimate, found.parameters.model),
-            correlation=_row_correlation(estimate, found.parameters.model, observations, unknowns),
+            correlation=load_correlation(folder / "information.npz"),
             settings=settings,
-            seconds=_seconds(observations),
+            seconds=_seconds(load_archive(folder / "information.npz")),
         )
 
     def with_frames_of(self, log: Log) -> "ForcePredictor":
@@ -409,7 +406,8 @@ class ForcePredictor:
         noise = self._noise_at(rate)
         if model.contacts is not None:
             columns = without_contacts(model, still, columns)
-            noise = variance_of_all_rows(model, still, noise, self.correlation)
+            correlation = np.eye(model.dof) if self.correlation is None else self.correlation
+            noise = variance_of_all_rows(model, still, noise, correlation)
         columns[..., 1] = K @ self.unknowns[inertial]
         columns[..., 2] = noise
         return columns
@@ -451,27 +449,3 @@ def _row_noise(estimate: Estimate, model: RobotModel) -> FloatArray | None:
     if not estimate.row_std:
         return None
     return np.array([estimate.row_std.get(name, np.inf) ** 2 for name in model.coordinates])
-
-
-def _row_correlation(
-    estimate: Estimate,
-    model: RobotModel,
-    observations: Sequence[Observations],
-    unknowns: FloatArray,
-) -> FloatArray:
-    """Return the correlation (n, n) of the residuals of a row's coordinates.
-
-    In samples in which one of two residuals is unknown, they count as independent.
-    """
-    window = 0.0 if estimate.verdict is None else estimate.verdict.window
-    used = [one for one in observations if one.window == window]
-    if not used:
-        return np.eye(model.dof)
-    values = dict(zip((*estimate.names, *_sensor_names(estimate)), unknowns, strict=True))
-    phi = np.array([values.get(name, 0.0) for name in used[0].layout.parameters])
-    moment = used[0].rows.residual_moment(phi)
-    size = np.sqrt(moment.diagonal())
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
-    correlation: FloatArray = moment * np.outer(scale, scale)
-    np.fill_diagonal(correlation, 1.0)
-    return correlation

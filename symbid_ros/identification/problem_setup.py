@@ -84,7 +84,11 @@ class ProblemSetup:
             of_terms = candidate_prior if parameters.candidates else named_term_prior
             prior = of_terms(prior, parameters, dataset.observations[0], scale)
             problem = replace(problem, prior=prior)
-        kinds: tuple[str, ...] = options.sensor_error_kinds + (PLACE,) * bool(parameters.unplaced)
+        kinds: tuple[str, ...] = options.sensor_error_kinds
+        first = next(iter(dataset.segments), None)
+        if options.assumes_imu_bias and (first is None or not first.imu_frames):
+            kinds = ()
+        kinds += (PLACE,) * bool(parameters.unplaced)
         if factors is not None and not kinds and parameters.model.contacts is None:
             solve = partial(_with_chosen_terms, is_trial=True)
             problem = identify_gains(problem, dataset, factors, solve)
@@ -95,6 +99,8 @@ class ProblemSetup:
             tares = {**self.checks.tares, **self.tares}
             request = SensorErrorRequest(kinds, tares, self.checks.mountings, factors)
             problem = calibrate(problem, dataset, request)
+            if options.assumes_imu_bias:  # later logs have other biases
+                problem = replace(problem, stored=dataset.observations)
         if options.information is not None:
             earlier = with_columns(load_archive(options.information), parameters)
             both = merged_observations(problem.observations, earlier, str(options.information))

@@ -38,6 +38,8 @@ logger = logging.getLogger(__name__)
 RESULT_FILES = *MODEL_FILES, "information.npz", "estimate.json", REPORT_DATA
 # With identified joint placements.
 CALIBRATED = "calibrated.urdf", "calibrated.xml"
+# Joints or links that a warning names at most.
+MOST_NAMED = 3
 
 
 def check_output(parameters: ParameterSet, out: Path) -> None:
@@ -84,7 +86,11 @@ def write_identification(
         """Return what writes each file of a result that will lie in a folder."""
         writers: dict[str, Callable[[Path], object]] = {
             "information.npz": lambda path: write_archive(
-                path, found.observations, found.deviation_factor, found.calibration
+                path,
+                found.observations,
+                found.deviation_factor,
+                found.calibration,
+                found.correlation,
             ),
             "estimate.json": lambda path: write_estimate(path, of_model),
             "model.urdf": lambda path: write_text(path, export_urdf(estimate, parameters)),
@@ -163,7 +169,15 @@ def _log_unwritten(parameters: ParameterSet, estimate: Estimate, out: Path) -> N
         ("model.xml", replaced_values(identified)),
     ):
         for remark in remarks:
-            logger.warning("%s: %s", out / name, remark)
+            logger.warning("%s: %s", out / name, _shortened(remark))
+
+
+def _shortened(remark: str) -> str:
+    """Return a remark about many joints or links with the first of them; estimate.json has all."""
+    what, _, found = remark.partition(": ")
+    each = found.split(", ")
+    more = f" and {len(each) - MOST_NAMED} more" if len(each) > MOST_NAMED else ""
+    return f"{what}: {', '.join(each[:MOST_NAMED])}{more}"
 
 
 def _write_all(

@@ -137,10 +137,9 @@ class SolvedProblem:
     def alarms(self, value: FloatArray) -> tuple[str, ...]:
         """Return the reasons not to trust an estimate (p + s,), one line each."""
         parameters = self.problem.parameters
-        masses = slice(0, parameters.inertial, 10)
         return (
             *self.problem.alarms,
-            *contact_alarms(parameters.model, self.problem.prior.mean[masses], value[masses]),
+            *self._mass_alarms(value),
             *alarms(
                 self.posterior,
                 value,
@@ -152,6 +151,15 @@ class SolvedProblem:
                 sensors=(self.problem.sensor_names, self.problem.sensor_units),
             ),
         )
+
+    def _mass_alarms(self, value: FloatArray) -> tuple[str, ...]:
+        """Return the alarms about the total mass, which a weighing would tell."""
+        if self._weighing_std > 0:
+            return ()
+        masses = slice(0, self.problem.parameters.inertial, 10)
+        before, after = self.problem.prior.mean[masses], value[masses]
+        std = float(np.linalg.norm(self.posterior.deviation_factor[masses].sum(axis=0)))
+        return contact_alarms(self.problem.parameters.model, before, after, std)
 
     @property
     def _measurements(self) -> PseudoMeasurements | None:
@@ -245,6 +253,8 @@ class SolvedProblem:
             residuals=self._residuals(value),
         )
         noise = {} if verdict is None else self._row_std(value, verdict.effective)
+        has_contacts = problem.parameters.model.contacts is not None
+        correlation = self.chosen.residual_correlation(value) if has_contacts and noise else None
         return Identification(
             replace(estimate, verdict=verdict, row_std=noise),
             problem.data,
@@ -253,6 +263,7 @@ class SolvedProblem:
             value,
             problem.row_builder,
             change,
+            correlation,
         )
 
     def truncated(

@@ -71,6 +71,8 @@ class InitialState:
         """
         _check_online(options)
         options = replace(options, drive_gain=(), drive_gain_percent=None)
+        if options.assumes_imu_bias:  # which `resume` could not continue
+            options = replace(options, sensor_errors=("none",))
         parameters = load_parameters(robot, options)
         prior = choose_prior(options, parameters)
         parameters = with_load_reference(parameters, prior, options)

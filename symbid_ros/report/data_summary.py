@@ -75,7 +75,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
             "unless the unexplained force is small"
             if white > 0
             else "of the residuals is not known: the rows have windows of one length only",
-            is_alarm=verdict.is_coloured,
+            is_alarm=verdict.is_coloured and white > SUSPICIOUS_WHITENESS,
             page="errors.html",
         ),
         *_unexplained_entries(verdict),

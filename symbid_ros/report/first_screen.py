@@ -109,7 +109,11 @@ def _with_alarms(estimate: Estimate, number: int) -> Recommendation:
                 _files(estimate),
             ),
         )
-    return Recommendation("bad", f"Do not use this model yet: {count}{figure}.")
+    doubt = estimate.doubt and (
+        f"{estimate.doubt[0].upper()}{estimate.doubt[1:]}. A fault of a sensor does so, and the "
+        "data held out have the same fault."
+    )
+    return Recommendation("bad", f"Do not use this model yet: {count}{figure}.", doubt)
 
 
 def _files(estimate: Estimate) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,14 +13,10 @@ from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.placements import displaced, displacement_columns
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion, equation_residual
+from symbid_ros.dynamics.unmeasured_contacts import without_contacts
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.sampled_rows import (
-    SampledRows,
-    slipping_coordinates,
-    valid_coordinates,
-    valid_rows,
-)
+from symbid_ros.signals.sampled_rows import SampledRows, rows_that_hold
 from symbid_ros.signals.sensor_drift import SensorDrift
 from symbid_ros.signals.sensor_errors import (
     AXIS,
@@ -40,6 +37,8 @@ COLUMN_PERIOD_NS = 20_000_000
 CHUNK = 4096
 STEP = 1e-4  # of a finite difference, rad, rad/s or m/s²; of deflections at the largest effort
 TIME_STEP = 1e-5  # of a finite difference, s
+# Errors of measured forces, of which the columns are those forces' generalised ones.
+FORCE_ERRORS, NONE = ("torque_gain", "wrench_offset", "wrench_gain", "wrench_position"), slice(0)
 
 
 @dataclass(frozen=True)
@@ -104,6 +103,10 @@ def error_columns(
             effort = errors.realigned(readings, theta).effort[:, errors.driven]
             C[:, rows, range(place.start, place.stop)] = -np.nan_to_num(effort) / (1 + gain) ** 2
     _fill_plates(C, errors, model, readings, theta)
+    forces = [k for kind in FORCE_ERRORS for k in range(len(errors))[errors.places.get(kind, NONE)]]
+    if model.contacts is not None and forces:
+        samples = at_base(errors.corrected(readings, theta), model)
+        C[:, :, forces] = without_contacts(model, samples, C[:, :, forces])
     if LENGTH in errors.kinds or AXIS in errors.kinds:
         corrected = errors.corrected(readings, theta)
         phi = _carried_phi(parameters, linearization.phi, readings.stamp)
@@ -245,12 +248,8 @@ class CalibratingRows:
             columns = [rows.K, -C]
             if self.drift is not None:
                 columns.append(-self.drift.columns(C, part.stamp))
-            yield valid_rows(
-                part.stamp,
-                Rows(np.concatenate(columns, axis=2), rows.y - C @ point.theta),
-                valid_coordinates(parameters, samples.velocity),
-                slipping_coordinates(parameters, samples.velocity),
-            )
+            rows = Rows(np.concatenate(columns, axis=2), rows.y - C @ point.theta)
+            yield rows_that_hold(parameters, samples, rows)
 
 
 def _interpolated_columns(
@@ -259,6 +258,16 @@ def _interpolated_columns(
     linearization: LinearizationPoint,
     readings: SensorSamples,
 ) -> FloatArray:
+    """Return :func:`error_columns` of all samples, from some of them."""
+    touching = readings.touching
+    if touching is not None:  # other rows begin where a contact begins or ends
+        changes = np.flatnonzero(np.any(touching[1:] != touching[:-1], axis=1)) + 1
+        if len(changes):
+            ends = [0, *changes.tolist(), len(readings)]
+            parts = [readings[start:stop] for start, stop in pairwise(ends)]
+            return np.concatenate(
+                [_interpolated_columns(parameters, errors, linearization, one) for one in parts]
+            )
     starts = np.flatnonzero(
         np.diff(
             readings.stamp // COLUMN_PERIOD_NS, prepend=readings.stamp[0] // COLUMN_PERIOD_NS - 1

@@ -209,6 +209,8 @@ class SensorErrors:
         """Return which coordinates (n, r) each unknown affects."""
         first = 6 * model.floating
         affects = np.ones((model.dof, len(self)), dtype=bool)
+        if model.contacts is not None:  # rows combine all coordinates that feel a contact
+            return affects
         for kind, place in self.places.items():
             size = len(DEVIATIONS[kind])
             for index, owner in enumerate(self._owners(kind)):

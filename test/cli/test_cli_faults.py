@@ -275,6 +275,7 @@ def test_nan_and_infinite_values(fails, good, tmp_path) -> None:
         (["identify", "log", "--method", "x"], "'--method': 'x' is not one of 'map_lmi'"),
         (["identify", "log", "--gravity", "1"], "3 arguments; see `symbid identify --help`"),
         (["dance"], "No such command 'dance'; see `symbid --help`"),
+        (["doctor", "log"], "No such command 'doctor'; give `symbid bag doctor`"),
     ],
 )
 def test_a_usage_error_is_one_line_at_any_width(symbid_here, arguments, says, columns) -> None:

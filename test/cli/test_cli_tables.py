@@ -65,6 +65,14 @@ def test_an_alarm_is_one_line_in_a_pipe_however_long(printed):
     assert "no alarm" not in lines
 
 
+def test_a_floating_robot_whose_prior_was_widened_is_not_recommended(printed):
+    widened = replace(VERDICT, alarms=ALARMS, prior_scale=40.0)
+    lines = printed(verdict=widened, base="floating")
+    assert lines[-2] == (
+        "1 alarm: do not trust these numbers yet, as the data widened the prior 40 times"
+    )
+
+
 def test_sensor_errors_are_counted(printed):
     assert "1 of 2 sensor errors determined" in printed(verdict=replace(VERDICT, sensors=SENSORS))
 

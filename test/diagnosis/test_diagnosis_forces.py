@@ -47,6 +47,7 @@ class Robot:
     std: float = STD
     carried: float = 500.0
     density: float = 500.0
+    suspect: tuple = ("", 0.0)
 
     def verdict(self):
         frames = ("left", "right")
@@ -66,6 +67,7 @@ class Robot:
             scale_evidence=ScaleEvidence(self.density),
             beyond_limits={},
             wrench_noise=(0.0, 0.0),
+            unloaded=SimpleNamespace(suspect_force=lambda: self.suspect),
             efforts=[1.0],
             is_loaded=np.array(self.loaded),
             mean_forces=np.array([[0.0, 0, 250], [10, 0, 240]]),
@@ -214,6 +216,15 @@ def test_gains_that_all_vanish_explain_nothing(common):
     robot = Robot([common * IDENTITY] * 2, [common, common, common, -common])
     is_near = 0.4 <= common <= 2.5
     assert robot.kinds == [(Kind.TORQUE_SIGN, "/joints") if is_near else (Kind.CONTRADICTION, "")]
+
+
+def test_a_contradiction_names_the_foot_that_alone_is_never_in_the_air():
+    gains = [0.3 * IDENTITY] * 2, [0.3] * 4
+    (usual,) = Robot(*gains).verdict().findings
+    (found,) = Robot(*gains, suspect=("right", 15.0)).verdict().findings
+    assert found.kind == usual.kind == Kind.CONTRADICTION
+    assert "; /right never reads less than 15 N" in found.message
+    assert "never reads" not in usual.message
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Wrench sensors of feet show their offsets while the feet are in the air."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,24 @@ def test_without_offset_nothing_is_said() -> None:
     segment = foot(WEIGHT)
     segment.wrenches[:] -= OFFSET
     assert readings(segment)["sole"].finding("/foot") is None
+
+
+def suspect(*feet: Segment) -> tuple[str, float]:
+    """Return the suspect of feet A, B, …, whose sensors have no offsets of their own."""
+    names = tuple("ABCD"[: len(feet)])
+    wrenches = np.concatenate([one.wrenches - OFFSET for one in feet], axis=1)
+    sensors = UnloadedSensors(names, WEIGHT)
+    sensors.add(replace(feet[0], wrenches=wrenches, wrench_frames=names))
+    return sensors.suspect_force()
+
+
+def test_a_sensor_that_alone_reads_a_force_in_the_air_is_suspected() -> None:
+    walking, shifted = foot(WEIGHT), foot(WEIGHT, light=40.0)
+    name, force = suspect(walking, shifted, walking, walking)
+    assert name == "B"
+    assert force == pytest.approx(40.0, rel=0.1)
+    for others in ([walking] * 4, [shifted] * 4, [shifted, walking, shifted], [walking, shifted]):
+        assert suspect(*others) == ("", 0.0)
 
 
 @pytest.fixture(scope="module")

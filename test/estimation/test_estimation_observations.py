@@ -204,8 +204,11 @@ def test_other_windows_and_other_robots_are_not_merged():
         log.observations().merge(gaussian_log(8, links=4).observations())
 
 
-def windows(seed, drift, count=3200):
-    """Return the same residuals averaged over windows of one and of four lengths."""
+def windows(seed, drift, count=3200, seldom=None):
+    """Return the same residuals averaged over windows of one and of four lengths.
+
+    The last coordinate has only as many long windows as ``seldom``, if this is given.
+    """
     log = gaussian_log(9, count=count)
     root = noise_root(np.random.default_rng(9), log.K.shape[1])
     log = log.measured(np.random.default_rng(seed), root)
@@ -215,6 +218,12 @@ def windows(seed, drift, count=3200):
     long = replace(
         log[: len(K)], K=K, y=K @ log.truth + e.reshape(-1, 4, e.shape[1]).mean(axis=1), window=0.4
     )
+    if seldom is not None:
+        short, long = (
+            replace(one, valid=(np.arange(len(one)) < rows)[:, None] | ~last)
+            for last in [np.arange(e.shape[1]) == e.shape[1] - 1]
+            for one, rows in ((short, 4 * seldom), (long, seldom))
+        )
     return short.observations(), long.observations(), log.truth
 
 
@@ -232,6 +241,13 @@ def test_constant_residuals_outlast_noise_by_the_ratio_of_windows():
     assert drifting == sorted(drifting)
     # Wrong parameters are as lasting as a wrong sensor where the motion is slow.
     assert whiteness(short, long, 1.5 * truth) > 1.5
+
+
+def test_a_coordinate_with_few_rows_does_not_hide_what_lasts_in_the_others():
+    """As a joint of a leg that seldom swings."""
+    for seed in range(5):
+        assert whiteness(*windows(seed, 0.0, seldom=8)) < 1.1
+    assert whiteness(*windows(1, 1e3, seldom=8)) > 0.9 * whiteness(*windows(1, 1e3))
 
 
 @pytest.mark.parametrize("count", [40, 80, 100, 400])

@@ -83,6 +83,21 @@ def test_only_large_and_coloured_residuals_raise_an_alarm():
     assert str(replace(large, measured=1234.0)) == "1 Nm of 1200 Nm unexplained on knee"
 
 
+def test_a_large_error_of_one_coordinate_with_few_rows_raises_an_alarm():
+    """It hardly shows in the whiteness of all coordinates."""
+    white = 0.5 * SUSPICIOUS_WHITENESS
+    lasting = np.zeros(8)
+    lasting[7] = 30.0
+    assert is_coloured(white, unexplained_forces(*logs(lasting)[:3], UNITS))
+    # Neither does noise, however large it is, nor what is smaller than half of the force.
+    for seed in range(10):
+        noise = np.where(np.arange(8) == 7, 300.0, 1.0)
+        found = unexplained_forces(*logs(np.zeros(8), noise, seed)[:3], UNITS)
+        assert not is_coloured(white, found)
+    lasting[7] = 1.0
+    assert not is_coloured(white, unexplained_forces(*logs(lasting)[:3], UNITS))
+
+
 def test_a_small_error_that_lasts_comes_before_larger_ones_that_may_be_chance():
     lasting, noise = np.zeros(8), np.ones(8)
     lasting[7], noise[[6, 7]] = 0.2, (30.0, 0.05)

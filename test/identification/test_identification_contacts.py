@@ -16,7 +16,7 @@ from symbid_ros.identification.api import diagnose, identify
 from symbid_ros.identification.assumed_contacts import assumed_contacts
 from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.joint_terms import _any_slips
-from symbid_ros.identification.loaded_problem import load_problem
+from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.validation import validate
 from symbid_ros.messages.log_options import LogOptions
@@ -128,14 +128,19 @@ def test_a_robot_without_wrench_sensors_is_assumed_to_stand_on_its_legs(
     assert set(assumed_contacts(biped, alone)) == {"left_sole", "right_sole"}
 
 
+# The identifier node leaves biases of the IMU out unless they are named.
+EXACT = {"sensor_errors": ("none",), "window": 0.321, "joint_terms": ("none",)}
+
+
 def test_live_messages_give_the_same(robot, true_robot, readings, tmp_path):
     feet = {f"/{foot}/wrench" for foot in FEET}
     short = {topic: values for topic, values in readings.items() if topic not in feet}
     bag = record_log(short, robot, tmp_path / "bag")
-    options = IdentifyOptions(contact=POINTS, window=0.321, no_holdout=True, joint_terms=("none",))
+    options = IdentifyOptions(contact=POINTS, no_holdout=True, **EXACT)
     offline = load_problem(robot, load_bag(bag, robot), options).solve().estimate
     feed = feed_of(bag)
-    live = OnlineIdentification(InitialState.of(robot, options), feed.selected, Pace(share=1.0))
+    start = InitialState.of(robot, replace(options, sensor_errors=()))
+    live = OnlineIdentification(start, feed.selected, Pace(share=1.0))
     try:
         feed.into(live, solving=6.0)
         found = live.solve(exactly=True).found.estimate
@@ -180,17 +185,58 @@ def test_intervals_hold_for_efforts_without_what_contacts_balance(
     robot, true_robot, steps, tmp_path, flags
 ):
     options = {"contact": POINTS, "window": 0.161, "joint_terms": "none", "no_holdout": True}
-    found = identify(robot, with_flags(robot, steps, flags=flags), **options)
-    found.save(tmp_path)
     other = standing_log(true_robot, 16.0, 9, friction=0.0, steps=True)
+    training, held_out = (
+        one | {"/imu": one["/imu"] | {"linear_acceleration": felt + BIAS}}
+        for one in (steps, other)
+        for felt in [one["/imu"]["linear_acceleration"]]
+    )
+    found = identify(robot, with_flags(robot, training, flags=flags), **options)
+    found.save(tmp_path)
     for result in (found, tmp_path):
-        again = validate(result, with_flags(robot, other, flags=flags))
+        again = validate(result, with_flags(robot, held_out, flags=flags))
         assert again.coverage == pytest.approx(0.9, abs=0.04)
         assert again.normalized_square == pytest.approx(1.0, abs=0.25)
         by_joint = {one.name: one.coverage for one in again.coordinates}
         assert set(by_joint) == set(robot.coordinates)
         assert min(by_joint.values()) > 0.75
         assert again.is_covered
+
+
+BIAS = np.array([0.06, -0.08, 0.04])
+
+
+@pytest.mark.parametrize("flags", [True, False])
+def test_biases_of_the_imu_are_identified_unless_others_are_named(
+    robot, true_robot, steps, flags, tmp_path
+):
+    """Those of MEMS sensors would shift centres of mass by many standard deviations."""
+    exact = steps["/imu"]["linear_acceleration"]
+    spoilt = steps | {"/imu": steps["/imu"] | {"linear_acceleration": exact + BIAS}}
+    log = with_flags(robot, spoilt, flags=flags)
+    options = {"contact": POINTS, "joint_terms": ("none",)}
+    found, rigid = (
+        identify(robot, log, **options, sensor_errors=errors) for errors in ((), ("none",))
+    )
+    assert not found.alarms
+    of_imu = {one.name.rpartition("_bias_")[2]: one for one in found.estimate.verdict.sensors}
+    for axis, bias in zip("xyz", BIAS, strict=True):
+        one = of_imu[f"accelerometer_{axis}"]
+        assert abs(one.value - bias) < 4 * one.std
+    assert of_imu["accelerometer_x"].std < 0.2 * BIAS[0]
+    truth, scores = true_robot.inertial_parameters, {}
+    for name, one in (("found", found), ("rigid", rigid)):
+        known = one.estimate.determined[: len(truth)]
+        errors = (one.estimate.value - truth) / one.estimate.std
+        scores[name] = float(np.sqrt(np.mean(errors[known] ** 2)))
+    assert scores["found"] < 1.6
+    assert scores["found"] < scores["rigid"] / (1.5 if flags else 1.0)
+    # Another log has other biases, so information of both contains none.
+    found.save(tmp_path)
+    saved = load_archive(tmp_path / "information.npz")
+    assert saved[0].layout.parameters == ParameterSet(robot).names
+    alone = load_information(robot, saved, IdentifyOptions(**options)).solve()
+    assert not alone.estimate.verdict.sensors
 
 
 def test_the_data_choose_the_friction_of_legs_that_swing(robot, true_robot):
@@ -230,14 +276,15 @@ def test_flags_in_a_bag_and_live_are_those_of_arrays(robot, steps, tmp_path):
     flags = tuple(f"{foot}/contact:={foot}" for foot in FEET)
     log = load_bag(bag, robot, contact_flag=flags)
     model = with_contacts(robot, POINTS)
-    options = IdentifyOptions(contact=POINTS, window=0.321, no_holdout=True, joint_terms=("none",))
+    options = IdentifyOptions(contact=POINTS, no_holdout=True, **EXACT)
     recorded = joined_segments(AlignedLog(log, model))
     expected = joined_segments(AlignedLog(with_flags(robot, steps), model))
     np.testing.assert_array_equal(recorded[0].touching, expected[0].touching)
     assert 0.5 < recorded[0].touching.mean() < 0.95
     offline = load_problem(robot, log, options).solve().estimate
     feed = feed_of(bag, TopicSelection.of(LogOptions(contact_flag=flags)))
-    live = OnlineIdentification(InitialState.of(robot, options), feed.selected, Pace(share=1.0))
+    start = InitialState.of(robot, replace(options, sensor_errors=()))
+    live = OnlineIdentification(start, feed.selected, Pace(share=1.0))
     try:
         feed.into(live, solving=6.0)
         found = live.solve(exactly=True).found.estimate
@@ -260,12 +307,29 @@ def test_flags_that_let_a_standing_robot_fly_are_refused(robot, readings):
     assert caught.value.code == "E368"
 
 
-def test_efforts_that_do_not_carry_the_robot_raise_an_alarm(robot, readings):
-    """Those that carry it raise none, see above."""
-    weak = log_of(robot, readings, effort=0.2 * readings["/joint_states"]["effort"])
-    options = {"window": 0.321, "no_holdout": True, "joint_terms": "none"}
-    found = identify(robot, weak, contact=POINTS, **options)
-    assert any("total mass went from" in alarm for alarm in found.alarms)
+@pytest.mark.parametrize("factor", [0.2, 1.5])
+def test_a_common_factor_of_all_efforts_raises_an_alarm(robot, true_robot, readings, factor):
+    """Right efforts raise none, see above, and residuals show no common factor."""
+    wrong = log_of(robot, readings, effort=factor * readings["/joint_states"]["effort"])
+    options = {"contact": POINTS, "window": 0.321, "no_holdout": True, "joint_terms": "none"}
+    (alarm,) = identify(robot, wrong, **options).alarms
+    assert "total mass went from" in alarm
+    assert "a wrong scale in common" in alarm
+    # A weighing shows it.
+    mass = float(true_robot.phi[:, 0].sum())
+    alarms = identify(robot, wrong, total_mass=mass, total_mass_std=0.05, **options).alarms
+    assert any("the weighing of" in one for one in alarms)
+    assert not any("total mass went from" in one for one in alarms)
+
+
+def test_a_flag_that_is_stuck_is_named(robot, steps):
+    options = {"contact": POINTS, "joint_terms": ("none",), "no_holdout": True}
+    touches = {foot: steps[f"/{foot}/contact"]["touches"] for foot in FEET}
+    stuck = touches | {FEET[1]: np.zeros_like(touches[FEET[1]])}
+    found = identify(robot, log_of(robot, steps, touches=stuck), **options)
+    assert found.estimate.verdict.is_coloured
+    assert f"according to the flags, {FEET[1]} hardly touches anything" in found.alarms[-1]
+    assert identify(robot, log_of(robot, steps, touches=touches), **options).alarms == ()
 
 
 def test_readings_at_a_contact_that_is_named_are_left_out(robot, readings):
@@ -312,7 +376,9 @@ def test_wrenches_alone_identify_a_robot_whose_drives_measure_nothing(robot, tru
     [
         ({"contact": ("foot:heel",)}, "not a contact"),
         ({"contact": ("foot",), "joint_terms": ("load",)}, "name other terms"),
-        ({"contact": ("foot",), "sensor_errors": ("typical",)}, "nothing|no reading"),
+        ({"contact": ("foot",), "sensor_errors": ("link_length",)}, "leaves link_length unknown"),
+        ({"contact": ("foot",), "drive_gain": ("all",)}, "`drive_gain` needs the wrenches"),
+        ({"contact": ("foot",), "tare": ("bag",)}, "`tare` is of foot sensors"),
     ],
 )
 def test_options_that_contradict_contacts_are_refused(fields, message):

@@ -106,6 +106,16 @@ def test_a_failure_leaves_no_mixture_of_two_results(found, spare, tmp_path, monk
     assert all(str(caught.value).count(f" {name}") == 1 for name in ("model.urdf", "model.xml"))
 
 
+def test_a_warning_about_many_links_names_the_first(found, tmp_path, caplog, monkeypatch) -> None:
+    monkeypatch.setattr(result_files, "MOST_NAMED", 1)
+    identification, parameters = found
+    first, *rest = identification.estimate.consistent
+    impossible = dict.fromkeys((first, *rest), False)
+    estimate = replace(identification.estimate, consistent=impossible)
+    write_identification(replace(identification, estimate=estimate), parameters, tmp_path / "out")
+    assert f"other programs may refuse: {first} and {len(rest)} more" in caplog.text
+
+
 def test_a_result_with_a_negative_mass_is_read(found, tmp_path, caplog) -> None:
     """Least squares without a constraint finds such results, which can be compared all the same."""
     identification, parameters = found

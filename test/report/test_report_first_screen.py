@@ -121,6 +121,16 @@ class TestRecommendation:
         lost = replace(coloured, unexplained=(UnexplainedForce("knee", "Nm", 75.0, 80.0, 0.94),))
         assert recommend(replace(shown, verdict=lost)).kind == "bad"
 
+    @pytest.mark.parametrize(("base", "kind"), [("fixed", "caution"), ("floating", "bad")])
+    def test_a_prior_that_was_widened_much_is_a_fault_of_a_floating_robot(self, base, kind):
+        shown = estimate("better", alarms=(ALARM,))
+        widened = replace(shown.verdict, prior_scale=40.0, whiteness=2.0)
+        found = recommend(replace(shown, verdict=widened, base=base))
+        assert found.kind == kind
+        assert ("The data widened the prior 40 times." in found.remark) == (base == "floating")
+        less = replace(widened, prior_scale=8.0)
+        assert recommend(replace(shown, verdict=less, base=base)).kind == "caution"
+
     def test_a_motion_that_repeats_itself_limits_the_advice(self):
         found = recommend(estimate(repeats=0.95))
         assert found.kind == "good"

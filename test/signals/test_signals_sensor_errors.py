@@ -1,14 +1,16 @@
 """Sensor errors as unknowns: exact correction, correct linearisation, consistent names."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from analytic_log import analytic_samples, noisy, readings_of, segment_of, spoilt
 from random_robots import CONFIG, random_robot
 
-from symbid_ros.choices import TYPICAL_ERRORS
+from symbid_ros.choices import TYPICAL_ERRORS, UNSEEN_WITH_CONTACTS
 from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint, error_columns
@@ -25,6 +27,9 @@ PERIOD_NS = 1_000_000
 def parameters_of(robot):
     if robot == "symbitron":
         return ParameterSet(load_model(CONFIG / "symbitron.xml"))
+    if robot == "on its soles":
+        model = load_model(CONFIG / "symbitron.xml")
+        return ParameterSet(with_contacts(model, ("left_sole", "right_sole:point")))
     seed, floating = robot
     return ParameterSet(random_robot(seed, links=6, floating=floating))
 
@@ -35,8 +40,12 @@ ROBOTS = [(1, True), (4, True), (2, False), "symbitron"]
 def exact_readings(parameters, count, seed, step=PERIOD_NS):
     stamp = step * np.arange(1, count + 1, dtype=np.int64)
     model = parameters.model
-    samples = analytic_samples(parameters, stamp, seed)
-    return readings_of(model, samples, ("imu_link",) if model.floating else ())
+    bare = replace(parameters, model=replace(model, contacts=None))
+    samples = analytic_samples(bare, stamp, seed)
+    readings = readings_of(model, samples, ("imu_link",) if model.floating else ())
+    if model.contacts is None:
+        return readings
+    return replace(readings, wrenches=readings.wrenches[:, :0], wrench_frames=())
 
 
 def all_errors(parameters, readings, kinds=TYPICAL_ERRORS):
@@ -50,8 +59,17 @@ def residual(parameters, errors, phi, readings, theta):
     return rows.y - rows.K @ phi
 
 
-@pytest.mark.parametrize("robot", ROBOTS, ids=str)
-@pytest.mark.parametrize("kinds", [KINDS, KINDS[1:2], KINDS[2:5], KINDS[4:]], ids=",".join)
+SEEN = tuple(kind for kind in KINDS if kind not in UNSEEN_WITH_CONTACTS)
+
+
+@pytest.mark.parametrize(
+    ("robot", "kinds"),
+    [
+        *product(ROBOTS, [KINDS, KINDS[1:2], KINDS[2:5], KINDS[4:]]),
+        *product(["on its soles"], [SEEN, SEEN[3:4], SEEN[4:]]),
+    ],
+    ids=str,
+)
 def test_columns_are_the_slopes_of_the_residual(robot, kinds):
     parameters = parameters_of(robot)
     readings = exact_readings(parameters, 5, 3, step=170_000_000)
@@ -71,6 +89,24 @@ def test_columns_are_the_slopes_of_the_residual(robot, kinds):
         # One-sided differences of 1e-4 are taken inside.
         scale = np.abs(slope).max()
         np.testing.assert_allclose(C[:, :, column], slope, atol=5e-4 * scale + 1e-6, err_msg=name)
+
+
+def test_columns_are_not_interpolated_from_one_set_of_contacts_to_another():
+    parameters = parameters_of("on its soles")
+    readings = exact_readings(parameters, 120, 3)
+    errors = all_errors(parameters, readings, ("imu_bias", "torque_gain"))
+    lifted = np.ones((120, 2), dtype=bool)
+    lifted[57:, 0] = False
+    readings = replace(readings, touching=lifted)
+    point = LinearizationPoint(parameters.values, np.zeros(len(errors)))
+    (found,) = CalibratingRows(parameters, errors, point)(readings)
+    exact = error_columns(parameters, errors, point, readings)
+    scale = np.abs(exact).max(axis=(0, 1)) + 1e-9
+    np.testing.assert_allclose(found.rows.K[..., -len(errors) :] / scale, -exact / scale, atol=0.1)
+    # A leg in the air gives rows of its own.
+    swings = found.combined.touching[:, 0] < 1
+    np.testing.assert_array_equal(swings, ~lifted[:, 0])
+    assert found.valid[swings].sum(axis=1).min() > found.valid[~swings].sum(axis=1).max()
 
 
 def test_an_effort_that_was_not_measured_leaves_the_columns_of_other_joints_as_they_are():
