@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 
 from symbid_ros.cli.flags import BaseKind
+from symbid_ros.cli.verbosity import progress_shown
 
 
 def init(
@@ -78,7 +79,8 @@ def init(
         write_text(urdf, text)
     console = Console(soft_wrap=True)
     try:
-        setup = None if bag is None else inspect_robot(urdf, bag, base)
+        with progress_shown():
+            setup = None if bag is None else inspect_robot(urdf, bag, base)
         layout = None if foxglove is None else layout_text(load_model(urdf, base))
     except BaseException:
         if is_new:  # it would be in the way of the next attempt

@@ -4,7 +4,7 @@ The equation of motion is K φ = y (Eq. 6, 10–14, 2.46–2.49).
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -281,9 +281,13 @@ def equation_residual(parameters: ParameterSet, samples: Samples, phi: FloatArra
     The rows are those of :func:`equation_of_motion`.
     """
     model = parameters.model
-    if not has_linear_rows(parameters):
-        rows = equation_of_motion(parameters, samples)
-        return np.asarray(rows.y - rows.K @ phi)
+    if model.contacts is not None:
+        every = replace(parameters, model=replace(model, contacts=None))
+        if "load" in parameters.terms:  # which is unknown then
+            phi = phi.copy()
+            phi[parameters.term_columns["load"]] = 0.0
+        residual = equation_residual(every, samples, phi)
+        return without_contacts(model, samples, residual[..., None])[..., 0]
     wanted = [phi[: parameters.inertial], parameters.load_reference]
     wanted += [_of_link(parameters, payload.link, payload.phi) for payload in parameters.payloads]
     none = csr_array((0, len(samples)))

@@ -115,7 +115,8 @@ def with_all_rows(model: RobotModel) -> RobotModel:
     if model.contacts is None:
         return model
     coordinates = _own_coordinates(model)
-    found = replace(model.contacts, coordinates=coordinates, has_all_rows=True, by_state={})
+    independent = model.contacts.independent or model.contacts
+    found = replace(independent, coordinates=coordinates, independent=independent, by_state={})
     return replace(model, contacts=found)
 
 
@@ -132,7 +133,7 @@ def contacts_of_state(model: RobotModel, touching: tuple[bool, ...]) -> Contacts
         )
         found = _eliminated(model, names, frames, contacts.coordinates)
         if contacts.has_all_rows:
-            found = replace(found, coordinates=contacts.coordinates, has_all_rows=True)
+            found = replace(found, coordinates=contacts.coordinates, independent=found)
         contacts.by_state[touching] = found
     return contacts.by_state[touching]
 
@@ -260,6 +261,39 @@ def without_contacts(model: RobotModel, samples: Samples, rows: FloatArray) -> F
     return result
 
 
+def variance_of_all_rows(
+    model: RobotModel, samples: Samples, variance: FloatArray, correlation: FloatArray
+) -> FloatArray:
+    """Return the variance (N, n) of the rows of :func:`with_all_rows`.
+
+    The independent rows r = N τ with orthonormal N have P τ = Nᵀ r, so the variance is the
+    diagonal of Nᵀ C N for the covariance C of r.
+
+    Parameters
+    ----------
+    model : RobotModel
+        The robot with the rows of every coordinate.
+    samples : Samples
+        Postures, and which contacts touch something.
+    variance : (n,) float64
+        Of errors of the independent rows, the mean over postures; NaN or infinite if unknown.
+    correlation : (n, n) float64
+        Of these errors.
+    """
+    assert model.contacts is not None
+    independent = replace(model, contacts=model.contacts.independent)
+    unit = np.broadcast_to(np.eye(model.dof), (len(samples), model.dof, model.dof))
+    N = without_contacts(independent, samples, unit)
+    # Both kinds of rows contain the factor d.
+    norm = np.linalg.norm(N, axis=2, keepdims=True)
+    N = np.divide(N, norm, out=np.zeros_like(N), where=norm > 0)
+    is_known = np.isfinite(variance)
+    std = np.sqrt(np.where(is_known, variance, 0.0))
+    found: FloatArray = np.sum(N * ((correlation * np.outer(std, std)) @ N), axis=1)
+    found[(~is_known).astype(float) @ N**2 > NEGLIGIBLE] = np.inf
+    return found
+
+
 def combined_coordinates(model: RobotModel) -> tuple[int, ...]:
     """Return the coordinates whose rows are orthonormal combinations if all contacts touch."""
     contacts = model.contacts
@@ -310,10 +344,14 @@ def _combined(
     J = J[:, contacts.components]
     some = np.eye(model.dof)[combined]
     N = annihilator(J, contacts.damping, some, orthonormal=not contacts.has_all_rows)
-    is_known = np.isfinite(rows)
-    kept = N @ np.where(is_known, rows, 0.0)
-    if not is_known.all():
-        kept[(np.abs(N) > NEGLIGIBLE).astype(float) @ ~is_known > 0] = np.nan
+    kept = N @ rows
+    # NaN times zero is NaN, so columns that contain NaN are combined without it.
+    gaps = np.flatnonzero(~np.isfinite(kept).all(axis=(0, 1)))
+    if len(gaps):
+        is_known = np.isfinite(rows[..., gaps])
+        known = N @ np.where(is_known, rows[..., gaps], 0.0)
+        known[(np.abs(N) > NEGLIGIBLE).astype(float) @ ~is_known > 0] = np.nan
+        kept[..., gaps] = known
     result[:, combined] = kept
     return result
 

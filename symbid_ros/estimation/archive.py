@@ -52,6 +52,7 @@ def write_archive(
     observations: Sequence[Observations],
     deviation_factor: FloatArray | None = None,
     calibration: SensorCalibration | None = None,
+    correlation: FloatArray | None = None,
 ) -> None:
     """Write observations of one robot over one or several windows.
 
@@ -65,6 +66,8 @@ def write_archive(
         Factor L of the estimate's covariance L Lᵀ, from which intervals can be computed.
     calibration : SensorCalibration, optional
         Of the sensor errors, if they were identified.
+    correlation : (n, n) float64, optional
+        Of the residuals of a row's coordinates.
     """
     content = pack_observations(observations)
     if deviation_factor is not None:
@@ -72,6 +75,8 @@ def write_archive(
     if calibration is not None:
         content["sensor_factor"] = calibration.factor
         content["linearization"] = calibration.linearization
+    if correlation is not None:
+        content["row_correlation"] = correlation
     # Random digits, as zeros are left out: compression would take longer than all the rest.
     write_through(path, lambda stream: np.savez(stream, **content))
 
@@ -251,6 +256,26 @@ def load_deviation_factor(path: Path) -> FloatArray | None:
             f"{path}: its deviation_factor is not a finite matrix; identify the log again", "E410"
         )
     return factor
+
+
+def load_correlation(path: Path) -> FloatArray | None:
+    """Return the correlation (n, n) of the residuals of a row's coordinates, or None.
+
+    Raises
+    ------
+    EstimateError
+        When the file is missing, damaged or not an information.npz.
+    """
+    content = read_arrays(path, ARCHIVE)
+    found = content.get("row_correlation")
+    if found is None:
+        return None
+    n = len(content["coordinates"])
+    if found.shape != (n, n) or found.dtype != np.float64 or not np.all(np.isfinite(found)):
+        raise EstimateError(
+            f"{path}: its row_correlation is not a finite matrix; identify the log again", "E410"
+        )
+    return found
 
 
 def load_calibration(path: Path) -> SensorCalibration | None:

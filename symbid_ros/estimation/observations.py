@@ -270,6 +270,18 @@ class Observations:
         independent = self.rows.samples / self.inflation
         return self.inflation * (independent + coupled) / (independent - coupled) * moment
 
+    def residual_correlation(self, phi: FloatArray) -> FloatArray:
+        """Return the correlation (n, n) of the residuals of a row's coordinates at φ (p,).
+
+        In samples in which one of two residuals is unknown, they count as independent.
+        """
+        moment = self.rows.residual_moment(phi)
+        size = np.sqrt(moment.diagonal())
+        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+        correlation: FloatArray = moment * np.outer(scale, scale)
+        np.fill_diagonal(correlation, 1.0)
+        return correlation
+
     def variance_ratio(self, phi: FloatArray) -> FloatArray:
         """Return each coordinate's mean square residual over the variance (n,) that Σ has for it.
 

@@ -393,21 +393,19 @@ class _LeftOut:
         used = unknowns[self._columns]
         columns = self._columns[used]
         offset = self._columns[~used]
-        # Rows of the free columns, with the fixed ones moved to the right-hand side.
-        change = np.zeros((len(self._columns) + 1, len(columns) + 1))
-        change[np.flatnonzero(used), np.arange(len(columns))] = 1.0
-        change[np.flatnonzero(~used), -1] = -found.prior.mean[offset]
-        change[-1, -1] = 1.0
-        moments = change.T @ self._moment @ change
+        # The fixed columns are moved to the right-hand side.
+        right = np.zeros(len(self._columns) + 1)
+        right[:-1][~used] = -found.prior.mean[offset]
+        right[-1] = 1.0
+        moved, place = self._moment @ right, np.flatnonzero(used)
         some = covariance[np.ix_(columns, columns)]
         values, V = np.linalg.eigh(some)
         L = V * np.sqrt(np.maximum(values, 0.0))
         total = 0.0
-        for moment in moments:
-            G, g = self._weight * moment[:-1, :-1], self._weight * moment[:-1, -1]
+        for moment, side in zip(self._moment, moved, strict=True):
+            G, g = self._weight * moment[np.ix_(place, place)], self._weight * side[place]
             left, U = np.linalg.eigh(np.eye(len(L)) - L.T @ G @ L)
             pull = U.T @ (L.T @ (G @ mean[columns] - g))
             without = mean[columns] + L @ (U @ (pull / np.maximum(left, LEAST_LEFT)))
-            value = np.append(-without, 1.0)
-            total += float(value @ moment @ value)
-        return float(self._weight * total)
+            total += float(without @ G @ without - 2 * g @ without + self._weight * right @ side)
+        return total

@@ -116,7 +116,7 @@ def _first_streams(log: Log, span: int) -> Streams | None:
 
 def _lowest_ends(robot: RobotModel, segments: Sequence[Segment]) -> tuple[str, ...]:
     """Return the ends of chains that are often about as low as the lowest one."""
-    ends = _ends(robot)
+    ends = chain_ends(robot)
     if len(ends) < FEWEST:
         return ()
     often = np.zeros(len(ends))
@@ -125,7 +125,7 @@ def _lowest_ends(robot: RobotModel, segments: Sequence[Segment]) -> tuple[str, .
         poses = link_poses(robot, samples.position)
         force = samples.base_specific_force
         up = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
-        height = np.einsum("tei,ti->te", _positions(ends, poses), up)
+        height = np.einsum("tei,ti->te", end_positions(ends, poses), up)
         top = np.einsum("tli,ti->tl", poses.position, up).max(axis=1)
         lowest = height.min(axis=1)
         often += np.sum(height - lowest[:, None] < LOW * (top - lowest)[:, None], axis=0)
@@ -135,7 +135,7 @@ def _lowest_ends(robot: RobotModel, segments: Sequence[Segment]) -> tuple[str, .
     return low if len(low) >= FEWEST else ()
 
 
-def _ends(robot: RobotModel) -> list[Frame]:
+def chain_ends(robot: RobotModel) -> list[Frame]:
     """Return a frame at the end of each chain of joints.
 
     Of frames that are named like a foot, or else of all, it is the farthest ball, or frame.
@@ -155,7 +155,7 @@ def _ends(robot: RobotModel) -> list[Frame]:
 def leg_ends(robot: RobotModel) -> tuple[str, ...]:
     """Return the ends of the chains of joints whose names are those of legs."""
     found = []
-    for end in _ends(robot):
+    for end in chain_ends(robot):
         chain = np.flatnonzero(robot.ancestors[:, end.link]).tolist()
         names = [robot.joint_names[joint] for joint in chain]
         names += [robot.link_names[joint + 1] for joint in chain]
@@ -168,7 +168,7 @@ def _reach(frame: Frame) -> float:
     return float(np.linalg.norm(frame.translation))
 
 
-def _positions(ends: list[Frame], poses: LinkPoses) -> FloatArray:
+def end_positions(ends: list[Frame], poses: LinkPoses) -> FloatArray:
     """Return the positions (N, E, 3) of frames in base axes."""
     return np.stack(
         [

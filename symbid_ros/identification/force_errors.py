@@ -314,7 +314,7 @@ def _predict(predictor: ForcePredictor, part: PredictionRows) -> ForceRows:
     inertial, masses = slice(0, parameters.inertial), slice(0, parameters.inertial, 10)
     K, valid = part.rows.K, part.valid
     variance = np.full(part.rows.y.shape, np.nan)
-    if predictor.factor is not None and part.noise is not None:
+    if predictor.factor is not None:
         variance = np.sum((K @ predictor.factor) ** 2, axis=2) + part.noise
     specific_force = np.zeros((len(K), 3))
     if parameters.model.floating:

@@ -206,9 +206,9 @@ def _open_alarm(every: Trial, before: float) -> str:
     return (
         f"{Alarm.WRONG_FACTORS}: those of the joints differ more than torque constants err, as "
         f"those of currents do (reading over torque: {_named_factors(every)}); with these, the "
-        f"error at the end of the log is {_percent(every):.2g} % instead of {before:.2g} %; all factors "
-        "are identified, but only their ratios: the scale of factors and masses is that of the "
-        "model file's masses; give a known `payload` or the `effort_scale` of the joints, "
+        f"error at the end of the log is {_percent(every):.2g} % instead of {before:.2g} %; all "
+        "factors are identified, but only their ratios: the scale of factors and masses is that of "
+        "the model file's masses; give a known `payload` or the `effort_scale` of the joints, "
         "`drive_gain` none takes efforts as they are"
     )
 

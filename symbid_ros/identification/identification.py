@@ -33,6 +33,8 @@ class Identification:
     scale_change : (p,) float64 or None
         Change of the parameters with one deviation of the gain that no residual shows, as far as
         their deviations contain it.
+    correlation : (n, n) float64 or None
+        Of the residuals of a row's coordinates, on a robot with unmeasured contacts.
     report : ReportData or None
         What a report shows of the log; None without a log.
     """
@@ -44,6 +46,7 @@ class Identification:
     unknowns: FloatArray
     rows: RowBuilder
     scale_change: FloatArray | None = None
+    correlation: FloatArray | None = None
     report: ReportData | None = None
 
     @property

@@ -12,6 +12,7 @@ from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.identification.loose_fit import LooseFit, LooseRows, loose_rows, some_blocks
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
+from symbid_ros.progress import report
 from symbid_ros.signals.segments import Segment
 
 # Logs are right in which less than this share of each joint's efforts is left (RMS).
@@ -296,11 +297,12 @@ def _likelier(
     count = int(rows.valid.sum())
     best = first = rows.fit()
     while True:
-        tried = [
-            (found.fit(), changed, joint)
-            for changed, joint in _changes(readings, log.moving, reversals)
-            if (found := log.rows(changed)) is not None
-        ]
+        changes = list(_changes(readings, log.moving, reversals))
+        tried = []
+        for number, (changed, joint) in enumerate(changes):
+            report("looking for exchanged and reversed joints", number / len(changes))
+            if (found := log.rows(changed)) is not None:
+                tried.append((found.fit(), changed, joint))
         fit, changed, joint = min(tried, key=lambda one: one[0].cost, default=(best, readings, -1))
         if fit.cost > best.cost - max(EVIDENCE, LEAST_GAIN * count):
             break

@@ -52,7 +52,7 @@ def loose_rows(blocks: Iterable[Segment], robot: RobotModel) -> "LooseRows | Non
     parameters = ParameterSet(robot, TERMS)
     build = EquationRows(parameters)
     found = [
-        block_rows(block, build, windows, ())[0]
+        block_rows(block, build, windows, (), shortest=windows[0])[0]
         for block in blocks
         if (windows := suitable_windows(WINDOWS, block.rate)[:1])
     ]

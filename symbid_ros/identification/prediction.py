@@ -10,10 +10,15 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import Base, Term
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.unmeasured_contacts import with_all_rows, with_contacts, without_contacts
+from symbid_ros.dynamics.unmeasured_contacts import (
+    variance_of_all_rows,
+    with_all_rows,
+    with_contacts,
+    without_contacts,
+)
 from symbid_ros.dynamics.upright import upward
 from symbid_ros.errors import EstimateError, OptionError, SymbidError
-from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.archive import load_archive, load_correlation
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.observations import Observations
@@ -59,8 +64,8 @@ class PredictionRows:
         Measured motor efforts; zero on a floating base.
     gravity : (N, n) float64
         Forces that hold the identified links still.
-    noise : (n,) float64 or None
-        Variance of a row's residual, (Nm)² or N²; None if it is unknown.
+    noise : (N, n) float64
+        Variance of a row's residual, (Nm)² or N²; NaN or infinite if it is unknown.
     """
 
     stamp: IntArray
@@ -68,7 +73,7 @@ class PredictionRows:
     valid: BoolArray
     effort: FloatArray
     gravity: FloatArray
-    noise: FloatArray | None
+    noise: FloatArray
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,9 @@ class ForcePredictor:
         L of the covariance L Lᵀ of the unknowns; None for truncated methods.
     noise : (n,) float64 or None
         Variance of a row's residual in the identified log, (Nm)² or N²; None if it is unknown.
+        With unmeasured contacts, that of the independent rows.
+    correlation : (n, n) float64 or None
+        Of the residuals of the independent rows' coordinates; None if they count as independent.
     settings : RowSettings
         How rows are made.
     seconds : frozenset of int
@@ -108,6 +116,7 @@ class ForcePredictor:
     linearization: FloatArray
     factor: FloatArray | None
     noise: FloatArray | None
+    correlation: FloatArray | None
     settings: RowSettings
     seconds: frozenset[int]
 
@@ -125,6 +134,7 @@ class ForcePredictor:
             linearization=found.unknowns if calibration is None else calibration.linearization,
             factor=found.factor,
             noise=_row_noise(estimate, parameters.model),
+            correlation=found.correlation,
             settings=estimate.rows or RowSettings("weak", found.window),
             seconds=_seconds(found.observations),
         )
@@ -169,6 +179,7 @@ class ForcePredictor:
             linearization=unknowns if calibration is None else calibration.linearization,
             factor=factor,
             noise=_row_noise(estimate, found.parameters.model),
+            correlation=load_correlation(folder / "information.npz"),
             settings=settings,
             seconds=_seconds(load_archive(folder / "information.npz")),
         )
@@ -258,17 +269,18 @@ class ForcePredictor:
             main = windowed_rows(segment, build, windows, ())
             beside = windowed_rows(segment, correct, windows, ())
             for (rows,), (other,) in zip(main, beside, strict=True):
-                effort, gravity = np.moveaxis(other.mean.K, 2, 0)
-                noise = self._noise_at(segment.rate)
+                effort, gravity, noise = np.moveaxis(other.mean.K, 2, 0)
                 yield PredictionRows(rows.stamp, rows.mean, rows.valid, effort, gravity, noise)
 
-    def _noise_at(self, rate: float) -> FloatArray | None:
+    def _noise_at(self, rate: float) -> FloatArray:
         """Return the variance (n,) of a row's residual in a log of another rate, Hz.
 
         That of averaged white noise falls with the number of samples, and what the model does not
         explain remains.
         """
-        if self.noise is None or not self.settings.rate or self.estimate.verdict is None:
+        if self.noise is None:
+            return np.full(self.parameters.model.dof, np.nan)
+        if not self.settings.rate or self.estimate.verdict is None:
             return self.noise
         sizes = {one.coordinate: one.size for one in self.estimate.verdict.unexplained}
         lasting = [sizes.get(name, 0.0) ** 2 for name in self.parameters.model.coordinates]
@@ -293,13 +305,12 @@ class ForcePredictor:
         samples = build_samples(segments, self.parameters.model, smoothing, source)
         for block in samples.blocks(SAMPLES_AT_ONCE):
             single = sampled_rows(self.parameters, block)
-            effort, gravity = np.moveaxis(self._effort_and_gravity(block, self.parameters), 2, 0)
-            yield PredictionRows(
-                single.stamp, single.rows, single.valid, effort, gravity, self.noise
-            )
+            beside = self._columns_beside(block, self.parameters, segments[0].rate)
+            effort, gravity, noise = np.moveaxis(beside, 2, 0)
+            yield PredictionRows(single.stamp, single.rows, single.valid, effort, gravity, noise)
 
     def _builders(self, segment: Segment, source: str) -> tuple[RowBuilder, RowBuilder]:
-        """Return builders of rows in the unknowns, and of columns of effort and gravity."""
+        """Return builders of rows in the unknowns, and of columns beside them."""
         parameters = self.parameters
         count = len(parameters)
         errors, order = self._errors(segment, source)
@@ -314,9 +325,10 @@ class ForcePredictor:
             for start in range(0, len(readings), CHUNK):
                 part = readings[start : start + CHUNK]
                 corrected = part if errors is None else errors.corrected(part, theta)
-                pair = self._effort_and_gravity(at_base(corrected, placed.model), placed)
-                flat = np.zeros(pair.shape[:2])
-                yield SampledRows(part.stamp, Rows(pair, flat), np.ones(flat.shape, dtype=bool))
+                samples = at_base(corrected, placed.model)
+                beside = self._columns_beside(samples, placed, segment.rate)
+                flat = np.zeros(beside.shape[:2])
+                yield SampledRows(part.stamp, Rows(beside, flat), np.ones(flat.shape, dtype=bool))
 
         if errors is None:
             return equation_rows(parameters), columns
@@ -368,8 +380,14 @@ class ForcePredictor:
         places = [self.sensor_names.index(name) for name in errors.names]
         return errors, np.array(places, dtype=np.int64)
 
-    def _effort_and_gravity(self, samples: Samples, parameters: ParameterSet) -> FloatArray:
-        """Return (N, n, 2) motor efforts, and forces that hold the identified links still."""
+    def _columns_beside(
+        self, samples: Samples, parameters: ParameterSet, rate: float
+    ) -> FloatArray:
+        """Return (N, n, 3) what is needed beside the rows of a log with a rate, Hz.
+
+        These are motor efforts, forces that hold the identified links still, and the variance of
+        a row's residual.
+        """
         model = parameters.model
         joints, base = np.zeros_like(samples.velocity), np.zeros_like(samples.base_specific_force)
         still = replace(
@@ -382,13 +400,17 @@ class ForcePredictor:
         )
         inertial = slice(0, parameters.inertial)
         K = equation_of_motion(parameters, still).K[..., inertial]
-        pair = np.zeros((len(samples), model.dof, 2))
-        pair[:, 6 * model.floating :, 0] = np.nan_to_num(samples.effort)
-        model.fold_followers(pair)
+        columns = np.zeros((len(samples), model.dof, 3))
+        columns[:, 6 * model.floating :, 0] = np.nan_to_num(samples.effort)
+        model.fold_followers(columns)
+        noise = self._noise_at(rate)
         if model.contacts is not None:
-            pair = without_contacts(model, still, pair)
-        pair[..., 1] = K @ self.unknowns[inertial]
-        return pair
+            columns = without_contacts(model, still, columns)
+            correlation = np.eye(model.dof) if self.correlation is None else self.correlation
+            noise = variance_of_all_rows(model, still, noise, correlation)
+        columns[..., 1] = K @ self.unknowns[inertial]
+        columns[..., 2] = noise
+        return columns
 
 
 def load_result_robot(folder: Path, estimate: Estimate) -> RobotModel:

@@ -86,7 +86,11 @@ def write_identification(
         """Return what writes each file of a result that will lie in a folder."""
         writers: dict[str, Callable[[Path], object]] = {
             "information.npz": lambda path: write_archive(
-                path, found.observations, found.deviation_factor, found.calibration
+                path,
+                found.observations,
+                found.deviation_factor,
+                found.calibration,
+                found.correlation,
             ),
             "estimate.json": lambda path: write_estimate(path, of_model),
             "model.urdf": lambda path: write_text(path, export_urdf(estimate, parameters)),

@@ -253,6 +253,8 @@ class SolvedProblem:
             residuals=self._residuals(value),
         )
         noise = {} if verdict is None else self._row_std(value, verdict.effective)
+        has_contacts = problem.parameters.model.contacts is not None
+        correlation = self.chosen.residual_correlation(value) if has_contacts and noise else None
         return Identification(
             replace(estimate, verdict=verdict, row_std=noise),
             problem.data,
@@ -261,6 +263,7 @@ class SolvedProblem:
             value,
             problem.row_builder,
             change,
+            correlation,
         )
 
     def truncated(

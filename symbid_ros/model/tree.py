@@ -156,10 +156,11 @@ class Contacts:
         ε, in units of the contact Jacobian.
     coordinates : (n - r,) int64
         Coordinates whose rows remain.
-    has_all_rows : bool
-        Whether dependent rows remain too, those of every coordinate.
     loads : (F, n) bool
         Coordinates on which each contact acts.
+    independent : Contacts or None
+        The contacts with the independent rows alone, if dependent ones remain too: those of every
+        coordinate.
     by_state : dict of tuple of bool to Contacts
         The contacts of each set of frames that touch something, filled as they occur.
     """
@@ -171,10 +172,15 @@ class Contacts:
     damping: float
     coordinates: IntArray
     loads: BoolArray
-    has_all_rows: bool = False
+    independent: "Contacts | None" = None
     by_state: "dict[tuple[bool, ...], Contacts]" = field(
         default_factory=dict, repr=False, compare=False
     )
+
+    @property
+    def has_all_rows(self) -> bool:
+        """Whether dependent rows remain too."""
+        return self.independent is not None
 
 
 @dataclass(frozen=True, eq=False)

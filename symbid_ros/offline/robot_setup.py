@@ -5,6 +5,7 @@ units.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,11 +15,14 @@ from symbid_ros.bags import bag_log, count_messages, join_names
 from symbid_ros.choices import Base
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
 from symbid_ros.identification.assumed_contacts import assumed_contacts, leg_ends
+from symbid_ros.identification.log_reading import MINUTE
+from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.topics import Topic, TopicSelection, describe_topics, is_measured
-from symbid_ros.messages.types import IMU, JOINT_STATE, POSE, WRENCH
+from symbid_ros.messages.types import IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.load import is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.offline.base_topics import contact_flags, odometry_topics, pose_topics
+from symbid_ros.offline.force_plates import PlateContacts, find_plate_contacts
 from symbid_ros.offline.log_corrections import LogCorrections
 from symbid_ros.offline.name_matching import joints_by_robot, match_names, most_similar
 from symbid_ros.offline.robot_setup_file import RobotSetup
@@ -70,9 +74,10 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     matcher.match_joints()
     if robot.floating:
         matcher.match_sensors(IMU, "imu_topic")
+        matcher.find_poses()
     matcher.match_sensors(WRENCH, "wrench_topic")
     if robot.floating:
-        matcher.find_poses()
+        matcher.find_plates()
         matcher.find_contacts()
     else:
         matcher.find_drives()
@@ -120,6 +125,8 @@ class _TopicMatcher:
     topics: tuple[Topic, ...]
     setup: RobotSetup
     frames: dict[str, str] = field(default_factory=dict)  # of the sensors' topics
+    worlds: dict[str, str] = field(default_factory=dict)  # topics of poses by the world's frame
+    plates: dict[str, str] = field(default_factory=dict)  # the world's frame by topics of wrenches
     fault: SymbidError | None = None  # why the first topic that is unusable is
 
     def match_joints(self) -> None:
@@ -218,6 +225,10 @@ class _TopicMatcher:
                 continue
             sensor = streams.imus[0] if streams.imus else streams.wrenches[0]
             frame = sensor.frame_id
+            if frame in self.worlds and not streams.imus:
+                self.setup.add(option, topic.name)
+                self.plates[topic.name] = frame
+                continue
             name = frame if frame in known else self._frame(frame, topic.name, known)
             if name is None:
                 self.setup.note(
@@ -256,17 +267,69 @@ class _TopicMatcher:
 
     def find_poses(self) -> None:
         """Name the topic of the base's pose if there is no IMU."""
-        poses = pose_topics(self.topics)
-        found = [*poses, *odometry_topics(self.topics)]
+        found = [*pose_topics(self.topics), *odometry_topics(self.topics)]
+        for topic in found:
+            one = next(each for each in self.topics if each.name == topic)
+            if streams := self._read(self.setup.options["joint_topic"][0], one):
+                self.worlds.setdefault(streams.poses[0].world, topic)
         if self.setup.options.get("imu_topic"):
             for topic in found:
                 self.setup.note(
                     "pose_topic", f"Beside the IMU, {topic} may be given if it is measured."
                 )
         elif found:
-            self.setup.add("pose_topic", found[0], "CHECK: it must be measured, not estimated.")
-            if poses:
-                self.setup.add("pose_frame", self.robot.link_names[0], "CHECK: this is a guess.")
+            self._use_pose(found[0])
+
+    def _use_pose(self, topic: str) -> None:
+        self.setup.add("pose_topic", topic, "CHECK: it must be measured, not estimated.")
+        if topic in pose_topics(self.topics):
+            self.setup.add("pose_frame", self.robot.link_names[0], "CHECK: this is a guess.")
+
+    def find_plates(self) -> None:
+        """Name the pose that wrenches in world axes need, and the links that they act on."""
+        if not self.plates:
+            return
+        worlds = dict.fromkeys(self.plates.values())
+        if not self.setup.options.get("pose_topic"):
+            self.setup.comments.pop("pose_topic", None)
+            self._use_pose(self.worlds[next(iter(worlds))])
+        found = self._plate_contacts()
+        if "pose_frame" in self.setup.options and found.tracked != self.robot.link_names[0]:
+            self.setup.options["pose_frame"] = [found.tracked]
+            self.setup.comments["pose_frame"] = [
+                "CHECK: if the pose is that of this frame, the forces on the plates pass the feet."
+            ]
+        for topic, link in found.links.items():
+            self.setup.add(
+                "plate_link",
+                f"{topic}:={link}",
+                "CHECK: the forces on the plates pass these frames.",
+            )
+        if unknown := [topic for topic in self.plates if topic not in found.links]:
+            self.setup.note(
+                "plate_link",
+                f"CHECK: the log does not show what stands on {', '.join(unknown)}. Name it, or "
+                "the wrench acts on the link of the tracked frame.",
+            )
+
+    def _plate_contacts(self) -> PlateContacts:
+        """Find what stands on the plates in the log's first minute."""
+        given = self.setup.log_options
+        with suppress(SymbidError):  # the diagnosis states why the log cannot be read
+            log = bag_log(self.bags, self.robot, TopicSelection.of(given))
+            for piece in log.slices(MINUTE, warn=False):
+                if piece.streams is not None:
+                    tracked = self._tracked_frames(piece.streams.poses[0].frame_id)
+                    return find_plate_contacts(
+                        self.robot, piece.streams, tuple(self.plates), tracked
+                    )
+        return PlateContacts(self.robot.link_names[0], {})
+
+    def _tracked_frames(self, stated: str) -> list[str]:
+        """Return the frames that the pose may track, the most likely one first."""
+        if "pose_frame" not in self.setup.options:
+            return [stated]  # by an Odometry
+        return [stated, *(frame.name for frame in self.robot.frames if frame.link == 0)]
 
     def find_drives(self) -> None:
         """Name the topic that tells when a wheeled base drives."""
@@ -290,11 +353,17 @@ class _TopicMatcher:
 
     def _read(self, joints: str, sensor: Topic | None = None) -> Streams | None:
         """Return the first messages of a topic of joint states and of another sensor."""
-        imus, wrenches = (
-            (sensor.name,) if sensor is not None and sensor.msgtype == msgtype else ()
-            for msgtype in (IMU, WRENCH)
+        imus, wrenches, poses = (
+            (sensor.name,) if sensor is not None and sensor.msgtype in msgtypes else ()
+            for msgtypes in ((IMU,), (WRENCH,), (POSE, ODOMETRY))
         )
-        selection = TopicSelection(joints=(joints,), imus=imus, wrenches=wrenches)
+        selection = TopicSelection(
+            joints=(joints,),
+            imus=imus,
+            wrenches=wrenches,
+            poses=poses,
+            mapping=SensorMapping(tracked=self.robot.link_names[0]),
+        )
         try:
             for piece in bag_log(self.bags, topics=selection).slices(SPAN, warn=False):
                 if piece.streams is not None:

@@ -1,10 +1,12 @@
 """`symbid init` finds flags of contacts, measured poses and the odometry of a wheeled base."""
 
+import numpy as np
 import pytest
 import yaml
 from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from random_logs import LogPlan, random_streams, write_bag
 from random_robots import random_robot
+from scipy.spatial.transform import Rotation
 
 from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.messages.topics import Topic, TopicSelection
@@ -68,6 +70,41 @@ def test_a_measured_pose_replaces_an_imu(urdf, steps, tmp_path):
     text = yaml.safe_load((tmp_path / "robot.yaml").read_text())
     assert text["/**"]["ros__parameters"]["pose_frame"] == "base"
     assert setup.log_options.pose_frame == "base"
+
+
+@pytest.mark.parametrize(("tracked", "has_imu"), [("base", False), ("imu_link", True)])
+def test_force_plates_in_world_axes_are_named_with_the_feet_on_them(
+    urdf, tmp_path, tracked, has_imu
+):
+    robot = load_model(urdf)
+    readings = standing_log(robot, 5.0, 3, friction=0.0, captured=True)
+    place, turn = np.split(readings["/base/pose"]["pose"], [3], axis=1)
+    frame, turn = robot.frame(tracked), Rotation.from_quat(turn)
+    place, turn = place + turn.apply(frame.translation), turn * Rotation.from_matrix(frame.rotation)
+    pose = {"time": readings["/base/pose"]["time"], "pose": np.hstack([place, turn.as_quat()])}
+    log = {"/joint_states": readings["/joint_states"], "/base/pose": pose}
+    if has_imu:
+        log["/imu"] = readings["/imu"]
+    standing = dict(zip((2, 0, 3), FEET, strict=False))
+    plates = {f"/map/plate_{number}": foot for number, foot in standing.items()}
+    log |= {topic: readings[f"/{foot}/plate"] for topic, foot in plates.items()}
+    # The force of two feet together passes between them.
+    both = [readings[f"/{foot}/plate"]["wrench"] for foot in FEET[2:]]
+    log["/map/plate_3"] = readings[f"/{FEET[2]}/plate"] | {"wrench": sum(both)}
+    bag = record_log(log, robot, tmp_path / "bag")
+    setup = inspect_robot(urdf, [bag])
+    assert setup.options["pose_topic"] == ["/base/pose"]
+    assert setup.options["pose_frame"] == [tracked]
+    assert setup.options["wrench_topic"] == [f"/map/plate_{number}" for number in (0, 2, 3)]
+    del plates["/map/plate_3"]
+    assert dict(one.split(":=") for one in setup.options["plate_link"]) == plates
+    assert "rename_frame" not in setup.options
+    open_ = [line for line in setup.comments["plate_link"] if "/map/plate_3" in line]
+    assert len(open_) == 1
+    assert open_[0].startswith("CHECK: ")
+    setup.write(tmp_path / "robot.yaml")
+    read = load_robot_file(tmp_path / "robot.yaml")
+    assert read["plate_link"] == setup.options["plate_link"]
 
 
 def test_legs_without_an_imu_leave_the_base_open(symbid_here, urdf, steps, tmp_path):

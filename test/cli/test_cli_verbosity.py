@@ -14,6 +14,7 @@ import typer.main
 from symbid_ros.cli.app import app
 from symbid_ros.cli.verbosity import logged_level
 from symbid_ros.model.load import load_model
+from symbid_ros.package_paths import config_file
 from symbid_ros.progress import report, reported_to
 
 SYMBID = Path(sys.executable).parent / "symbid"
@@ -47,6 +48,10 @@ def test_verbose_names_steps_and_quiet_leaves_warnings_out(symbid_here, short, t
     assert steps.stdout == plain.stdout
     assert symbid_here("bag", "doctor", short, "-q").stdout == plain.stdout
     assert symbid_here("bag", "doctor", short).stderr == ""  # flags end with their command
+
+    model, out = config_file("symbitron.urdf"), tmp_path / "robot.yaml"
+    init = symbid_here("init", "--model", model, "--bag", short, "--out", out, "-v")
+    assert f"reading {short}" in "".join(init.stderr.split("\n")).replace("  ", "")
 
     robot = tmp_path / "massless.urdf"
     robot.write_text(

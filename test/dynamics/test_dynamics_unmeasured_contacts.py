@@ -8,8 +8,13 @@ from quadruped_log import FEET, quadruped_urdf
 
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.dynamics.unmeasured_contacts import with_all_rows, with_contacts
+from symbid_ros.dynamics.regressor import equation_of_motion, equation_residual
+from symbid_ros.dynamics.unmeasured_contacts import (
+    variance_of_all_rows,
+    with_all_rows,
+    with_contacts,
+    without_contacts,
+)
 from symbid_ros.errors import ModelError
 from symbid_ros.estimation.row_layout import random_motions
 from symbid_ros.model.load import load_model
@@ -69,6 +74,62 @@ def test_all_rows_are_the_parts_that_no_wrench_balances(quadruped, flagged):
         forces = [6 * foot + axis for foot in np.flatnonzero(touching[index]) for axis in (3, 4, 5)]
         P = np.eye(quadruped.dof) - np.linalg.pinv(J[index, forces]) @ J[index, forces]
         np.testing.assert_allclose(all_[index], P @ whole[index], atol=1e-3 * np.abs(whole).max())
+
+
+@pytest.mark.parametrize("lifted", [(), (1,), (0, 3)])
+def test_the_variance_of_all_rows_is_that_of_projected_efforts(quadruped, lifted):
+    """Efforts with covariance Σ have projections with covariance P Σ P."""
+    model = with_contacts(quadruped, POINTS)
+    touching = np.ones((5, 4), dtype=bool)
+    touching[:, lifted] = False
+    motion = replace(random_motions(quadruped, 5), touching=touching)
+    factor = np.random.default_rng(2).normal(size=(quadruped.dof, quadruped.dof))
+    rows = without_contacts(model, motion, np.tile(factor, (5, 1, 1)))
+    J = contact_jacobian(quadruped, FEET, link_poses(quadruped, motion.position))
+    active = [6 * foot + axis for foot in range(4) if foot not in lifted for axis in (3, 4, 5)]
+    for index in range(5):
+        covariance = rows[index] @ rows[index].T
+        std = np.sqrt(covariance.diagonal())
+        size = np.outer(std, std)
+        correlation = np.divide(covariance, size, out=np.eye(model.dof), where=size > 0)
+        found = variance_of_all_rows(with_all_rows(model), motion, std**2, correlation)[index]
+        P = np.eye(quadruped.dof) - np.linalg.pinv(J[index, active]) @ J[index, active]
+        expected = np.sum((P @ factor) ** 2, axis=1)
+        np.testing.assert_allclose(found, expected, rtol=1e-2, atol=1e-3 * expected.max())
+
+
+def test_the_variance_is_unknown_where_an_unknown_row_enters(quadruped):
+    """Of a leg that swings, the rows are its own."""
+    model = with_contacts(quadruped, POINTS)
+    touching = np.tile([False, True, True, True], (5, 1))
+    motion = replace(random_motions(quadruped, 5), touching=touching)
+    leg = [quadruped.coordinates.index(f"LF_{name}") for name in ("HAA", "HFE", "KFE")]
+    others = np.setdiff1d(np.arange(quadruped.dof), leg)
+    every = with_all_rows(model)
+    for unknown, known in ((leg, others), (others, leg)):
+        variance = np.ones(quadruped.dof)
+        variance[unknown] = np.nan
+        found = variance_of_all_rows(every, motion, variance, np.eye(quadruped.dof))
+        assert np.isinf(found[:, unknown]).all()
+        assert np.isfinite(found[:, known]).all()
+    np.testing.assert_allclose(found[:, leg], 1.0)
+
+
+@pytest.mark.parametrize("terms", [("viscous", "coulomb"), ("load", "offset")])
+def test_residuals_without_the_regressor_are_those_of_the_rows(quadruped, terms):
+    motion = random_motions(quadruped, 12)
+    motion.effort[4:8, 2] = np.nan
+    touching = np.ones((12, 4), dtype=bool)
+    touching[6:, 1] = False
+    motion = replace(motion, touching=touching)
+    parameters = ParameterSet(with_contacts(quadruped, POINTS), terms)
+    phi = np.random.default_rng(3).normal(size=len(parameters))
+    rows = equation_of_motion(parameters, motion)
+    expected = rows.y - rows.K @ phi
+    assert np.isnan(expected).any()
+    size = np.nanmax(np.abs(expected))
+    found = equation_residual(parameters, motion, phi)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * size)
 
 
 def test_a_missing_effort_or_a_sticking_joint_spoils_only_combinations_that_contain_it(quadruped):

@@ -19,6 +19,7 @@ from symbid_ros.estimation.archive import (
     SensorCalibration,
     load_archive,
     load_calibration,
+    load_correlation,
     load_deviation_factor,
     write_archive,
 )
@@ -405,3 +406,17 @@ def test_an_archive_without_sensor_errors_has_no_calibration(stored, tmp_path):
         path = tmp_path / f"{name}.npz"
         rewritten(stored, path, **{name: value})
         assert load_calibration(path) is None
+
+
+def test_the_correlation_of_residuals_is_read_as_written(tmp_path) -> None:
+    path, observations = tmp_path / "information.npz", observed()
+    write_archive(path, observations)
+    assert load_correlation(path) is None
+    n = len(observations[0].layout.coordinates)
+    written = np.eye(n) + 0.5 * np.eye(n, k=1) + 0.5 * np.eye(n, k=-1)
+    write_archive(path, observations, correlation=written)
+    np.testing.assert_array_equal(load_correlation(path), written)
+    for wrong in (written[1:], np.where(written == 1, np.nan, written)):
+        write_archive(path, observations, correlation=wrong)
+        with pytest.raises(EstimateError, match="row_correlation is not a finite matrix"):
+            load_correlation(path)

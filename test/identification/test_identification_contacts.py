@@ -180,6 +180,29 @@ def test_flags_of_contacts_keep_the_rows_of_legs_that_swing(robot, true_robot, s
     assert errors[True] < errors[False]
 
 
+@pytest.mark.parametrize("flags", [False, True])
+def test_intervals_hold_for_efforts_without_what_contacts_balance(
+    robot, true_robot, steps, tmp_path, flags
+):
+    options = {"contact": POINTS, "window": 0.161, "joint_terms": "none", "no_holdout": True}
+    other = standing_log(true_robot, 16.0, 9, friction=0.0, steps=True)
+    training, held_out = (
+        one | {"/imu": one["/imu"] | {"linear_acceleration": felt + BIAS}}
+        for one in (steps, other)
+        for felt in [one["/imu"]["linear_acceleration"]]
+    )
+    found = identify(robot, with_flags(robot, training, flags=flags), **options)
+    found.save(tmp_path)
+    for result in (found, tmp_path):
+        again = validate(result, with_flags(robot, held_out, flags=flags))
+        assert again.coverage == pytest.approx(0.9, abs=0.04)
+        assert again.normalized_square == pytest.approx(1.0, abs=0.25)
+        by_joint = {one.name: one.coverage for one in again.coordinates}
+        assert set(by_joint) == set(robot.coordinates)
+        assert min(by_joint.values()) > 0.75
+        assert again.is_covered
+
+
 BIAS = np.array([0.06, -0.08, 0.04])
 
 

@@ -14,6 +14,7 @@ from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.sensor_mapping import SensorMapping
+from symbid_ros.progress import reported_to
 
 SEEDS = 1, 2, 5
 
@@ -79,6 +80,20 @@ def test_factors_that_are_found_do_not_hide_a_reversed_effort() -> None:
     assert "efforts of all joints have the opposite sign" in alarms[0]
     alarms = with_explained_alarms(with_gains, found, has_known_units=False).alarms
     assert not any("opposite sign" in one for one in alarms)
+
+
+def test_a_long_search_reports_its_progress() -> None:
+    heard = []
+    robot, log = arm_and_log(1, effort=[-1.0, 1.0, 1.0, 1.0])
+    segments = first_segments(log, robot)
+    with reported_to(lambda step, share: heard.append((step, share))):
+        find_readings(segments, robot)
+    assert {step for step, _ in heard} == {"looking for exchanged and reversed joints"}
+    shares = [share for _, share in heard]
+    first = shares[: shares.index(0.0, 1) if 0.0 in shares[1:] else None]
+    assert first[0] == 0.0
+    assert 0.9 < first[-1] < 1.0
+    assert first == sorted(first)
 
 
 def test_an_alarm_gives_options_that_can_be_given() -> None:
