@@ -21,6 +21,8 @@ logger = logging.getLogger(__name__)
 SPAN = 4_000_000_000
 # rad and m; a joint that moves this far within a span has no constant effort.
 MOVED = 0.1, 0.01
+# Efforts below this share of the largest of the same instant are rounding errors of computed ones.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,7 @@ def measured_efforts(
     if not len(starts):
         return MeasuredEfforts(effort, number, lost)
     is_finite = np.isfinite(effort)
+    rounding = rounding_errors(effort)
     for index, joint in enumerate(model.joints):
         column, finite = effort[:, index], is_finite[:, index]
         if joint.effort == 0.0:
@@ -98,7 +101,7 @@ def measured_efforts(
             lost[:, index] = np.logical_or.reduceat(unmeasured, starts)
             _warn(topic, joint.name, "is missing or not finite", lost[:, index], remedy)
         # Measurements are noisy; exact zeros come from a driver without a sensor.
-        is_zero = ~np.logical_or.reduceat(column != 0.0, starts) & ~lost[:, index]
+        is_zero = ~np.logical_or.reduceat(np.abs(column) > rounding, starts) & ~lost[:, index]
         if is_zero.any():
             lost[:, index] |= is_zero
             _warn(topic, joint.name, "is always zero", lost[:, index], remedy)
@@ -113,6 +116,12 @@ def measured_efforts(
             lost[:, index] |= is_constant
             _warn(topic, joint.name, "never changes while it moves", lost[:, index], remedy)
     return MeasuredEfforts(effort, number[starts], lost)
+
+
+def rounding_errors(effort: FloatArray) -> FloatArray:
+    """Return the size (N,) up to which efforts (N, J) of an instant count as zero."""
+    size = np.where(np.isfinite(effort), np.abs(effort), 0.0)
+    return np.asarray(ROUNDING * size.max(axis=1, initial=0.0))
 
 
 def _within_gaps(stamp: IntArray, finite: BoolArray, longest: float) -> BoolArray:
