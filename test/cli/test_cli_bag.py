@@ -103,11 +103,13 @@ def test_names_break_at_slashes_only(symbid_here, bag, columns) -> None:
 
 
 def test_info_of_an_interrupted_bag_points_to_recover(symbid_here, bag) -> None:
+    """The new bag has all files of a folder, of which the last one is unfinished."""
     file = cut(bag, 0.5)
-    told = symbid_here("bag", "info", bag)
-    assert told.returncode == 0
-    assert "not finished, not indexed" in told.stdout
-    assert f"run `symbid bag recover {file}`" in told.stdout
+    for named in (bag, file):
+        told = symbid_here("bag", "info", named)
+        assert told.returncode == 0
+        assert "not finished, not indexed" in told.stdout
+        assert f"run `symbid bag recover {named}`" in told.stdout
 
 
 def test_info_of_an_sqlite_bag(symbid_here, tmp_path) -> None:
