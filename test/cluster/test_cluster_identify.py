@@ -164,6 +164,7 @@ def test_errors_of_workers_are_those_of_one_process(cluster, bags, request_of_al
             ((bags[0].parent / "missing",), "E955"),
             ((f"unknown://{bags[0]}",), "E955"),
             ((bags[1], bags[0]), "E958"),
+            ((bags[0], bags[0]), "E958"),  # equal clocks
         ):
             request = ClusterRequest(tuple(map(str, places)), request_of_all)
             with pytest.raises(SymbidError) as raised:
