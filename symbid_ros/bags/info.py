@@ -15,6 +15,7 @@ from symbid_ros.bags.container.mcap_records import (
     MESSAGE,
     RECORD,
     Attachment,
+    advise_to_recover,
     checked_size,
     report_damage,
 )
@@ -126,7 +127,7 @@ def bag_info(bag: Path) -> BagInfo:
     files = tuple(
         _sqlite_file(file, qos)
         if file.suffix == SQLITE_SUFFIX
-        else _mcap_file(file, qos, is_alone=len(present) == 1)
+        else _mcap_file(file, bag, qos, is_alone=len(present) == 1)
         for file in present
     )
     counts: Counter[Topic] = Counter()
@@ -155,10 +156,12 @@ def _ros_distro(bag: Path) -> str:
         return ""
 
 
-def _mcap_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone: bool) -> FileInfo:
+def _mcap_file(
+    file: Path, bag: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone: bool
+) -> FileInfo:
     fault = ""
     try:
-        with report_damage(file):
+        with advise_to_recover(bag), report_damage(file):
             summary = read_summary(file, with_chunks=True)
     except BagError as error:
         if is_alone and not _begins_with_magic(file):

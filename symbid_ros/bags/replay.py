@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from symbid_ros.bags.container.file_index import FileIndex, RecordedTopic, read_mcap_index
 from symbid_ros.bags.container.files import join_names, list_files
+from symbid_ros.bags.container.mcap_records import advise_to_recover
 from symbid_ros.bags.container.mcap_summary import warn_of_count_mismatch
 from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_index
 from symbid_ros.errors import BagError
@@ -56,7 +57,7 @@ class Recording:
             When a bag is missing, damaged or empty, or a topic has two types.
         """
         source = join_names(bags)
-        files = tuple(_read_index(file) for bag in bags for file in list_files(bag))
+        files = tuple(file for bag in bags for file in _read_indices(bag))
         topics: dict[str, RecordedTopic] = {}
         for topic in (topic for file in files for topic in file.topics.values()):
             known = topics.setdefault(topic.name, topic)
@@ -139,5 +140,9 @@ class Recording:
                 warn_of_count_mismatch(file.file, file.statistics, found)
 
 
-def _read_index(file: Path) -> FileIndex:
-    return (read_sqlite_index if file.suffix == SQLITE_SUFFIX else read_mcap_index)(file)
+def _read_indices(bag: Path) -> list[FileIndex]:
+    with advise_to_recover(bag):
+        return [
+            (read_sqlite_index if file.suffix == SQLITE_SUFFIX else read_mcap_index)(file)
+            for file in list_files(bag)
+        ]

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from symbid_ros.cli.cluster import Dask, bag_location, print_dashboard
+from symbid_ros.cli.cluster import Dask, bag_location, print_dashboard, require_no_urls
 from symbid_ros.cli.flags import (
     BaseKind,
     LogBaseKind,
@@ -110,6 +110,7 @@ def identify(
     require_no_files(out, (*RESULT_FILES, *CALIBRATED), overwrite=overwrite)
     request = BagRequest(tuple(bags), require_model(model), options, log, base)
     if dask is None:
+        require_no_urls(bags)
         request = request.completed()
         with progress_shown():
             problem = request.load(out)

@@ -6,8 +6,8 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -137,6 +137,7 @@ def live(
             logs / "identifier.log",
             remapped=remapped | {"__node": name},
         ) as identifier,
+        saved_part_named(identifier, out),
         ExitStack() as others,
     ):
         try:
@@ -173,6 +174,22 @@ def _require_namespace(name: str) -> None:
             "that begin with a letter, such as robot1/left_arm",
             "E501",
         )
+
+
+@contextmanager
+def saved_part_named(identifier: NodeProcess, out: Path | None) -> Iterator[None]:
+    """Let the error of an identifier that was killed tell what of its result is saved."""
+    begun = time.time()
+    try:
+        yield
+    except SymbidError as error:
+        if out is None or not identifier.was_killed:
+            raise
+        file = out / "estimate.json"
+        saved = f"nothing of this run is saved in {out}"
+        if file.is_file() and (at := file.stat().st_mtime) >= begun:
+            saved = f"{out} keeps what was saved at {time.strftime('%X', time.localtime(at))}"
+        raise SymbidError(f"{error}; {saved}", error.code) from None
 
 
 def _finish(identifier: NodeProcess) -> dict[str, Any]:

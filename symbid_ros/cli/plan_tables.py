@@ -1,5 +1,6 @@
 """Tables of a designed trajectory that commands print on the terminal."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.options import spelled
 from symbid_ros.report.formatting import counted, significant
 
+logger = logging.getLogger(__name__)
+
 MOMENTS = 4  # number of a link's first parameters: mass and first moments
 
 
@@ -26,6 +29,13 @@ def print_plan(plan: ExcitationPlan, out: Path) -> None:
     print_link_deviations(console, plan)
     if plan.problem.parameters.terms:
         print_term_deviations(console, plan)
+    if noisy := plan.noisy:
+        logger.warning(
+            "the assumed noise of efforts, %g %% of the effort limits, exceeds the planned efforts "
+            "of %s; if these limits are placeholders, give the drives' own by --limits",
+            plan.problem.sensors.effort_noise,
+            ", ".join(noisy),
+        )
     design = plan.problem.design
     lines = [
         f"{design.seconds:g} s, {counted(design.seconds / design.series.period, 'period')} of "
@@ -43,11 +53,11 @@ def print_plan(plan: ExcitationPlan, out: Path) -> None:
 
 
 def print_usage(console: Console, plan: ExcitationPlan) -> None:
-    """Print the share of each limit that each joint uses."""
+    """Print the share of each limit that each joint uses; mimic joints only follow others."""
     usage = plan.usage()
     rows = [
         (name, [f"{100 * shares[index]:.0f}" for shares in usage.values()])
-        for index, name in enumerate(plan.joints.names)
+        for index, name in plan.independent
     ]
     title = f"{plan.joints.model.name}: used of each limit, %"
     print_table(console, "joint", [list(usage)], rows, title=title)

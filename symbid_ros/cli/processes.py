@@ -118,6 +118,11 @@ class NodeProcess:
         """Whether a signal ended the process while it was starting."""
         return self._process.poll() in (128 + signal.SIGINT, -signal.SIGINT)
 
+    @property
+    def was_killed(self) -> bool:
+        """Whether a signal ended the process that it did not handle."""
+        return (self._process.poll() or 0) < 0
+
     def require_running(self) -> None:
         """Raise SymbidError with the node's last line of output if it has ended."""
         if not self.running:
@@ -191,13 +196,17 @@ class NodeProcess:
         return output.decode().splitlines() if output else []
 
     def _failure(self) -> SymbidError:
+        if self.was_killed:  # its last line tells nothing about that
+            number = -self._process.returncode
+            cause = ", perhaps for want of memory" if number == signal.SIGKILL else ""
+            return SymbidError(
+                f"{self.name} was killed by signal {number}{cause} (see {self.log})", "E553"
+            )
         lines = self.log.read_text(errors="replace").strip().splitlines()
         error = FAILURE.fullmatch(lines[-1]) if lines else None
         if error is not None and error["name"] == self.name:
             return SymbidError(f"{error['text']} (see {self.log})", error["code"])
-        status = self._process.returncode
-        reason = f"exit status {status}" if status >= 0 else f"killed by signal {-status}"
-        reason = lines[-1] if lines else reason
+        reason = lines[-1] if lines else f"exit status {self._process.returncode}"
         return SymbidError(f"{self.name} failed: {reason} (see {self.log})", "E553")
 
 

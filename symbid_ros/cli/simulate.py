@@ -276,6 +276,7 @@ def udp_client(
             model_source, controller, largest_change, lambda line: typer.echo(line, err=True)
         )
     with UdpClient(host, port, controller, models.update if models else None) as client:
+        typer.echo(f"waiting for measurements of a simulator at {host}:{port}", err=True)
         client.run(stop, timeout)
         counts = client.counts
     summary = (

@@ -3,6 +3,7 @@
 Dask is imported when it is needed, so that one machine needs no Dask.
 """
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 CONNECTING_TIME = 10.0  # s to wait for the scheduler, and for its first worker
+CHECK_PERIOD = 10.0  # s between checks whether there is still a worker while tasks wait
+SCHEDULER_LOST = "scheduler-connection-lost"  # Dask's reason for the cancellation of all tasks
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -28,9 +33,12 @@ class Cluster:
     Attributes
     ----------
     client : distributed.Client
+    address : str
+        Of the scheduler, as the user gave it.
     """
 
     client: "Client"
+    address: str
 
     @property
     def dashboard(self) -> str:
@@ -44,13 +52,31 @@ class Cluster:
 
     def results(self, tasks: Sequence["Future[Any]"], step: str) -> list[Any]:
         """Wait for tasks, report their progress as ``step``, and return their results in order."""
-        from distributed import as_completed  # noqa: PLC0415 - an optional library
-
-        for done, task in enumerate(as_completed(tasks, loop=self.client.loop, raise_errors=False)):
+        for done, task in enumerate(self._as_completed(tasks)):
             if task.status != "finished":
                 task.result()  # raises the task's error
             report(step, (done + 1) / len(tasks))
         return [task.result() for task in tasks]
+
+    def _as_completed(self, tasks: Sequence["Future[Any]"]) -> Iterator["Future[Any]"]:
+        """Yield tasks as they end, and warn if there is no worker left for them."""
+        from distributed import as_completed  # noqa: PLC0415 - an optional library
+
+        left, has_workers, loop = set(tasks), True, self.client.loop
+        while left:
+            try:
+                for task in as_completed(left, loop, raise_errors=False, timeout=CHECK_PERIOD):
+                    left.discard(task)
+                    yield task
+            except TimeoutError:
+                had_workers, has_workers = has_workers, bool(self.client.nthreads())
+                if had_workers and not has_workers:
+                    logger.warning(
+                        "`dask` %s: the cluster has no worker any more, so its tasks wait; start "
+                        "workers by `dask worker %s`, or end this command with Ctrl-C",
+                        self.address,
+                        self.address,
+                    )
 
     def reduced(
         self, function: Callable[[Any, Any], Any], tasks: Sequence["Future[Any]"]
@@ -92,7 +118,7 @@ def connected(address: str) -> Iterator[Cluster]:
     ------
     SymbidError
         When Dask is not installed, nothing answers at the address, there is no worker, a worker has
-        another version of this package, or workers died again and again.
+        another version of this package, workers died again and again, or the scheduler ended.
     """
     try:
         import distributed  # noqa: PLC0415 - an optional library
@@ -114,7 +140,7 @@ def connected(address: str) -> Iterator[Cluster]:
     with client:
         try:
             _check_workers(client, address)
-            yield Cluster(client)
+            yield Cluster(client, address)
         except distributed.scheduler.KilledWorker as error:
             raise SymbidError(
                 f"`dask` {address}: {error.allowed_failures + 1} workers died while they ran one "
@@ -123,6 +149,12 @@ def connected(address: str) -> Iterator[Cluster]:
                 "E953",
             ) from None
         except distributed.client.FutureCancelledError as error:
+            if error.reason == SCHEDULER_LOST:
+                raise SymbidError(
+                    f"`dask` {address}: the scheduler ended, or the connection to it broke; start "
+                    "`dask scheduler` and its workers, and repeat the command",
+                    "E953",
+                ) from None
             reason = " ".join(str(error).split())
             raise SymbidError(
                 f"`dask` {address}: the cluster dropped a task ({reason}); start again", "E953"

@@ -328,11 +328,13 @@ def _require_supported(request: BagRequest) -> None:
 
 
 def _require_order(bags: Sequence[str], spans: Sequence[tuple[int, int]]) -> None:
+    """Refuse bags whose stamps overlap: parts are of stamps, so rows of one bag would be lost."""
     for index in range(1, len(bags)):
-        if spans[index][0] < spans[index - 1][0]:
+        first, last = spans[index - 1]
+        if spans[index][0] < max(first, last - NEAR):  # lengths are approximate
             raise DataError(
-                f"{bags[index]}: its stamps begin before those of {bags[index - 1]}; give bags in "
-                "the order of recording, and runs with equal clocks one by one, each with the "
+                f"{bags[index]}: its stamps begin before those of {bags[index - 1]} end; give bags "
+                "in the order of recording, and runs with equal clocks one by one, each with the "
                 "`information` of the one before",
                 "E958",
             )

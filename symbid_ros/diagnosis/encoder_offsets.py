@@ -12,13 +12,11 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.gain_problem import (
-    FLOOR,
     PINNED,
     UNMODELLED,
     GainEstimate,
     GainProblem,
     estimate_of,
-    loads,
 )
 from symbid_ros.diagnosis.gains import select_nonzero
 
@@ -47,9 +45,9 @@ def estimate_offsets(problem: GainProblem, left: FloatArray) -> GainEstimate:
     std = np.select(
         [gains.is_encoder, gains.is_delay, gains.is_imu], [OFFSET_STD, DELAY_STD, PINNED], GAIN_STD
     )
-    scale = loads(rows, problem.expected)
+    floor = problem.floor
     for _ in range(TURNS):
-        at, deviation = problem.solve(std, UNMODELLED * (left + (FLOOR * scale) ** 2))
+        at, deviation = problem.solve(std, UNMODELLED * (left + floor))
         left = rows.residual_squares(at)
     return estimate_of(problem, at, deviation, left)
 

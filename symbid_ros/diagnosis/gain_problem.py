@@ -17,7 +17,8 @@ from symbid_ros.model.wrist_sensors import COMPONENTS
 from symbid_ros.signals.weak_form import INFLATION
 
 # Residuals below this share of the load count as zero. Gains that shrink together with the inertias
-# explain any log up to its noise, and such residuals must have no weight.
+# explain any log up to its noise, and such residuals must have no weight. For the same reason
+# residuals below the white noise of the efforts have no weight.
 FLOOR = 0.02
 # Rough relative error of the model's loads, for the weights of the first solution.
 LOAD_ERROR = 0.3
@@ -55,6 +56,8 @@ class GainProblem:
     load_noise : (F, J) float64 or None
         Mean square of the load on each joint in these rows by white noise of each wrench; None if
         the wrenches have none.
+    effort_noise : (J,) float64 or None
+        Mean square of each joint's effort in these rows by white noise; None if they have none.
     """
 
     rows: CoordinateRows
@@ -65,6 +68,7 @@ class GainProblem:
     body_std: FloatArray | None = None
     lagged: LaggedRows | None = None
     load_noise: FloatArray | None = None
+    effort_noise: FloatArray | None = None
 
     @classmethod
     def of(
@@ -104,6 +108,17 @@ class GainProblem:
     def expected(self) -> FloatArray:
         """(p + r,) prior mean: the model's parameters and gains of one."""
         return np.append(self.mean, np.zeros(len(self.gains)))
+
+    @property
+    def noise(self) -> FloatArray:
+        """(n,) mean square residuals that white noise of the efforts leaves with gains of one."""
+        own = np.zeros(0) if self.effort_noise is None else self.effort_noise
+        return np.append(np.zeros(len(self.rows.coordinates) - len(own)), own)
+
+    @property
+    def floor(self) -> FloatArray:
+        """(n,) mean square residuals below which rows get no more weight."""
+        return (FLOOR * loads(self.rows, self.expected)) ** 2 + self.noise
 
     def solve(
         self, std: FloatArray, left: FloatArray, mass_std: float = np.inf

@@ -7,7 +7,6 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.diagnosis.gain_problem import (
     DELAY_STD,
-    FLOOR,
     GAIN_STD,
     ITERATIONS,
     LEAST,
@@ -25,7 +24,7 @@ from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
 
 # Residuals up to this multiple of the smallest ones, at the same scale, count as explained.
 EXPLAINED = 2.0
-# Residuals above this share of the load are not explained.
+# Residuals above this share of the load, apart from noise, are not explained.
 LARGEST_SHARE = 0.25
 # Relative deviation of the total mass.
 MASS_STD = 2e-3
@@ -56,8 +55,7 @@ def estimate_gains(problem: GainProblem) -> GainEstimate:
     at, _ = problem.solve(pinned, (LOAD_ERROR * scale) ** 2)
     left = rows.residual_squares(at)
     free = np.where(gains.is_imu | gains.is_encoder, PINNED, _prior_std(gains))
-    floor = (FLOOR * scale) ** 2
-    solutions = []
+    floor, solutions = problem.floor, []
     for mass_std in (np.inf, MASS_STD):
         residual = left
         for _ in range(ITERATIONS):
@@ -70,7 +68,7 @@ def estimate_gains(problem: GainProblem) -> GainEstimate:
     anchored = solutions[1][2]
     is_explained = anchored <= EXPLAINED**2 * solutions[0][2] / shrunk**2
     is_explained |= anchored <= (SMALL_SHARE * scale) ** 2
-    is_explained &= anchored <= (LARGEST_SHARE * scale) ** 2
+    is_explained &= anchored <= (LARGEST_SHARE * scale) ** 2 + problem.noise
     at, deviation, left = solutions[int(np.all(is_explained))]
     found = estimate_of(problem, at, deviation, left)
     hidden = dict[int, float]()
@@ -126,15 +124,14 @@ def fit_imu_rotation(problem: GainProblem, gains: GainEstimate, index: int) -> R
     The scale of its readings is known from gravity and is held, because gains that all shrink
     together explain any log.
     """
-    scale = loads(problem.rows, problem.expected)
     place = problem.gains.imu(index)
     free = _prior_std(problem.gains)
     pinned = problem.gains.is_imu | problem.gains.is_encoder
     pinned[place] = False
     std = np.where(pinned, PINNED, free)
-    left = gains.left
+    floor, left = problem.floor, gains.left
     for _ in range(ITERATIONS):
-        at, deviation = problem.solve(std, left + (FLOOR * scale) ** 2)
+        at, deviation = problem.solve(std, left + floor)
         own = estimate_of(problem, at, deviation, left)
         turn = fit_rotation(*own.matrix(place), is_scaled=False)
         held = at.copy()

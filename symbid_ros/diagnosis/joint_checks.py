@@ -10,6 +10,7 @@ from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.model.tree import Joint, RobotModel
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.defects import ALWAYS
+from symbid_ros.signals.efforts import rounding_errors
 from symbid_ros.signals.streams import JointStream
 
 DEGREES = 180 / np.pi
@@ -121,7 +122,8 @@ class JointCheck:
         self._messages += len(is_finite)
         self._without_effort += np.count_nonzero(~is_finite, axis=0)
         self._without_position += np.count_nonzero(~np.isfinite(joints.position[inside]), axis=0)
-        self._has_effort |= np.any(is_finite & (joints.effort[inside] != 0.0), axis=0)
+        is_zero = np.abs(joints.effort[inside]) <= rounding_errors(joints.effort[inside])[:, None]
+        self._has_effort |= np.any(is_finite & ~is_zero, axis=0)
         self._compare_with_constant(joints.effort[inside], is_finite)
         scale = np.array([joints.effort_scale.get(name, 1.0) for name in self.names])
         recorded = joints.effort[inside] * np.sign(scale)
@@ -277,10 +279,10 @@ class JointCheck:
                     Severity.UNUSABLE if is_fatal else Severity.WARNING,
                 )
             )
-        driven = [i for i in driven if i not in stuck]
+        driven = [i for i in driven if self._has_effort[i] and i not in stuck]
         found += self._unsigned_findings(driven)
         found += self._noise_findings(driven)
-        incomplete = [i for i in driven if self._has_effort[i] and self._without_effort[i]]
+        incomplete = [i for i in driven if self._without_effort[i]]
         return found + list(self._absent("effort", incomplete, Severity.WARNING))
 
     def _unsigned_findings(self, driven: list[int]) -> Iterator[Finding]:
@@ -289,7 +291,7 @@ class JointCheck:
         Friction alone changes its sign, and a joint with a vertical axis carries no weight.
         """
         reverses = self._moved.min(axis=0) >= FEWEST_REVERSING
-        places = [i for i in driven if self._has_effort[i] and reverses[i]]
+        places = [i for i in driven if reverses[i]]
         is_negative, is_positive = self._is_negative[places].any(), self._is_positive[places].any()
         if len(places) < FEWEST_UNSIGNED or (is_negative and is_positive):
             return

@@ -113,6 +113,7 @@ class ModelStatistics:
         self._noise_square = np.zeros((len(wrench_frames), 6))
         # Squares of the joints' loads by noise of each wrench, for one sample per second.
         self._load_noise = np.zeros((len(wrench_frames), len(model.joints)))
+        self._effort_noise = np.zeros(len(model.joints))  # likewise, of the efforts
         self._window = np.inf
 
     def add(self, segment: Segment) -> None:
@@ -131,6 +132,9 @@ class ModelStatistics:
         noise = noise_deviation(segment.wrenches.reshape(len(segment), -1), segment.rate)
         self._noise_square += len(segment) * noise.reshape(-1, 6) ** 2
         self._add_load_noise(segment, noise)
+        # Efforts of joints without any are NaN.
+        effort_noise = noise_deviation(np.nan_to_num(segment.effort), segment.rate)
+        self._effort_noise += len(segment) / segment.rate * effort_noise**2
         segment = _downsample(segment)
         length = block_length(segment.rate)
         windows = suitable_windows(WINDOWS, segment.rate)[:1]
@@ -169,8 +173,13 @@ class ModelStatistics:
         problem = GainProblem.of(
             self.rows, self.parameters, self.prior.std, self.gains, self._body_std
         )
-        load_noise = HANN / self._window * self._load_noise / max(self._samples, 1)
-        return replace(problem, lagged=self._lagged, load_noise=load_noise)
+        of_window = HANN / self._window / max(self._samples, 1)
+        return replace(
+            problem,
+            lagged=self._lagged,
+            load_noise=of_window * self._load_noise,
+            effort_noise=of_window * self._effort_noise,
+        )
 
     @property
     def _body_std(self) -> FloatArray:

@@ -90,9 +90,13 @@ def load_estimate(path: Path) -> Estimate:
     try:
         document = load_json(path)
     except OSError as error:
-        raise EstimateError(
-            f"{path}: cannot read it ({error.strerror}); check the path", "E401"
-        ) from None
+        fault = f"{path}: cannot read it ({error.strerror}); check the path"
+        if path.name == "estimate.json" and path.parent.is_dir() and not path.exists():
+            fault = (
+                f"{path.parent}: not a result of `symbid identify`, there is no {path.name}; give "
+                "the folder that it wrote"
+            )
+        raise EstimateError(fault, "E401") from None
     except ValueError as error:
         raise EstimateError(
             f"{path}: not an estimate.json ({error}); write one with `symbid identify`", "E409"

@@ -33,7 +33,7 @@ def render_page(plan: ExcitationPlan) -> str:
         grid=[{"y": _height(one / 100), "label": f"{one} %".replace("-", "−")} for one in GRID],
         kinds=KINDS,
         panels=_panels(plan),
-        joints=plan.joints.names,
+        joints=plan.independent,
         usage=plan.usage(),
         closest=closest_links(plan),
         contacts=contacts_used(plan),

@@ -16,6 +16,7 @@ from symbid_ros.excitation.standing_motion import StandingMotion
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import options_of, refuse_unused
 from symbid_ros.simulation.joint_sensors import BaseSensorOptions, JointSensorOptions
+from symbid_ros.simulation.tracking import effort_std
 
 
 def excitation_problem(
@@ -112,6 +113,22 @@ class ExcitationPlan:
     def usage(self) -> dict[str, FloatArray]:
         """Return the largest share (D,) of each complete limit that is used, by its name."""
         return self.problem.limits.usage(self.motion(self._period), self.torque(self._period))
+
+    @property
+    def independent(self) -> list[tuple[int, str]]:
+        """Indices (of D) and names of the joints that do not just follow another one."""
+        followers = self.joints.model.followers
+        moved = zip(self.joints.indices, self.joints.names, strict=True)
+        return [
+            (index, name) for index, (place, name) in enumerate(moved) if place not in followers
+        ]
+
+    @property
+    def noisy(self) -> list[str]:
+        """Names of the joints whose planned efforts, root mean square, are below their noise."""
+        planned = np.sqrt(np.mean(self.torque(self._period) ** 2, axis=0))
+        noise = effort_std(self.problem.sensors, self.problem.capacity)[list(self.joints.indices)]
+        return [name for index, name in self.independent if planned[index] < noise[index]]
 
     @cached_property
     def contact_usage(self) -> dict[str, float]:

@@ -124,6 +124,8 @@ def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     ModelError
         When a joint or a sensor's frame is not in the model.
     """
+    # Frames of another robot's sensors are missing as well: its joints tell that it is another one.
+    joint_columns(streams.joints.names, model, f"{streams.source}: {streams.joints.topic}")
     check_sensors(streams, model)
     return align(streams, model)
 
@@ -357,9 +359,12 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
     """
     missing = [name for name in model.measured_joint_names if name not in names]
     if missing:
+        which = f"no joint {', '.join(map(repr, missing))}"
+        if len(missing) == len(model.measured_joint_names) > 1:
+            which = f"none of the joints {', '.join(map(repr, missing))}"
         raise ModelError(
-            f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
-            f"has {', '.join(names)}; if these are other names of the same joints, `symbid init` "
+            f"{source} has {which} of model {model.source}; it has "
+            f"{', '.join(names)}; if these are other names of the same joints, `symbid init` "
             "finds them and writes a robot file; otherwise name every topic of joint "
             f"states (`joint_topic`), give `rename_joint` NAME:={missing[0]} or `hold_joint` "
             f"{missing[0]}:=POSITION, or the model of this robot",

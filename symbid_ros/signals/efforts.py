@@ -22,6 +22,8 @@ logger = logging.getLogger(__name__)
 SPAN = 4_000_000_000
 # rad and m; a joint that moves this far within a span has no constant effort.
 MOVED = 0.1, 0.01
+# Efforts below this share of the largest of the same instant are rounding errors of computed ones.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ def measured_efforts(
                 model.joint_names[joint]
             )
 
+    rounding = rounding_errors(effort)
     for index, joint in enumerate(model.joints):
         column, finite = effort[:, index], is_finite[:, index]
         if joint.effort == 0.0:
@@ -107,7 +110,7 @@ def measured_efforts(
             _fill(stamp, column, finite)
             lose(index, "is missing or not finite", np.logical_or.reduceat(is_absent, starts))
         # Measurements are noisy; exact zeros come from a driver without a sensor.
-        is_zero = ~np.logical_or.reduceat(column != 0.0, starts) & ~lost[:, index]
+        is_zero = ~np.logical_or.reduceat(np.abs(column) > rounding, starts) & ~lost[:, index]
         lose(index, "is always zero", is_zero)
         changes = np.zeros(len(stamp), dtype=bool)
         changes[1:] = np.diff(column) != 0.0
@@ -120,6 +123,12 @@ def measured_efforts(
     for (what, is_whole), names in unmeasured.items():
         _warn(topic, names, what if is_whole else f"{what} in part of the log", remedy)
     return MeasuredEfforts(effort, number[starts], lost)
+
+
+def rounding_errors(effort: FloatArray) -> FloatArray:
+    """Return the size (N,) up to which efforts (N, J) of an instant count as zero."""
+    size = np.where(np.isfinite(effort), np.abs(effort), 0.0)
+    return np.asarray(ROUNDING * size.max(axis=1, initial=0.0))
 
 
 def _within_gaps(stamp: IntArray, finite: BoolArray, longest: float) -> BoolArray:

@@ -92,6 +92,15 @@ def test_intact_bag_is_copied_completely(bag: Path) -> None:
                 assert getattr(after, name) == getattr(before, name)
 
 
+def test_the_new_bag_is_beside_the_old_one_as_it_was_named(bag: Path, monkeypatch) -> None:
+    monkeypatch.chdir(bag.parent)
+    assert recover(Path("log")).out == Path("log_recovered")
+    monkeypatch.chdir(bag)
+    assert recover(Path(), bag.parent / "other").is_whole
+    with raises_code("E218", str(bag.with_name("log_recovered"))):  # it exists
+        recover(Path())
+
+
 def test_complete_chunks_of_an_interrupted_recording_are_recovered(file: Path, bag: Path) -> None:
     """Truncated at different positions, the file keeps each complete chunk before the cut."""
     image = file.read_bytes()
@@ -101,8 +110,9 @@ def test_complete_chunks_of_an_interrupted_recording_are_recovered(file: Path, b
     _, first_end = places[0]
     for cut in (first_end, places[5][0] + 4, places[5][0] + 300, places[9][1], places[9][1] + 20):
         file.write_bytes(image[:cut])
-        with raises_code("E205", "`symbid bag recover"):
-            read_streams([bag])
+        for named in (bag, file):
+            with raises_code("E205", f"`symbid bag recover {named}`"):
+                read_streams([named])
         before = file.read_bytes()
         recovery = recover(bag)
         kept = messages(recovery.out)
@@ -422,7 +432,7 @@ def test_an_unfinished_bag_is_described(file: Path, bag: Path) -> None:
     cut = bag_info(bag)
     recovery = recover(bag)
     assert not cut.is_finished
-    assert f"`symbid bag recover {file}`" in cut.files[0].fault
+    assert f"`symbid bag recover {bag}`" in cut.files[0].fault
     assert cut.count == recovery.kept
     assert {topic.name: topic.count for topic in cut.topics} == {
         topic.name: topic.kept for topic in recovery.topics

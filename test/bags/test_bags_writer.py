@@ -196,7 +196,7 @@ def test_topic_errors_name_the_topic(tmp_path: Path) -> None:
 
 def test_unwritable_path_raises_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with raises_code("E219", "Not a directory"):
+    with raises_code("E219", "Not a directory; check its permissions or choose another folder"):
         BagWriter(tmp_path / "file" / "log")
 
 

@@ -16,6 +16,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from symbid_ros.bags import BagWriter
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.messages.types import IMU, JOINT_STATE
+from symbid_ros.package_paths import config_file
 
 STEPS = 100
 START = 1_700_000_000_000_000_000
@@ -103,11 +104,13 @@ def test_names_break_at_slashes_only(symbid_here, bag, columns) -> None:
 
 
 def test_info_of_an_interrupted_bag_points_to_recover(symbid_here, bag) -> None:
+    """The new bag has all files of a folder, of which the last one is unfinished."""
     file = cut(bag, 0.5)
-    told = symbid_here("bag", "info", bag)
-    assert told.returncode == 0
-    assert "not finished, not indexed" in told.stdout
-    assert f"run `symbid bag recover {file}`" in told.stdout
+    for named in (bag, file):
+        told = symbid_here("bag", "info", named)
+        assert told.returncode == 0
+        assert "not finished, not indexed" in told.stdout
+        assert f"run `symbid bag recover {named}`" in told.stdout
 
 
 def test_info_of_an_sqlite_bag(symbid_here, tmp_path) -> None:
@@ -165,3 +168,11 @@ def test_a_usage_error_names_the_help(symbid_here) -> None:
     ended = symbid_here("bag", "recover")
     assert ended.returncode == 2
     assert "see `symbid bag recover --help`" in ended.stderr
+
+
+def test_a_bag_at_a_url_needs_a_cluster(symbid_here, bag) -> None:
+    command = ("identify", f"file://{bag}", "--model", config_file("symbitron.urdf"))
+    ended = symbid_here(*command, "--out", bag.parent / "out")
+    assert ended.returncode == 2
+    assert "bags at URLs need --dask" in ended.stderr
+    assert "E501" in ended.stderr

@@ -127,6 +127,7 @@ def test_invalid_report_requests_are_one_line_errors(
         (prior, (), "holds a prior"),
         (found / "map_lmi", ("--realistic", short), "add --truth"),
         (found / "none", (), "cannot read it"),
+        (short, (), f"{short}: not a result of `symbid identify`"),
     ):
         command = ("report", subject, "--model", model, "--bag", short, "--out", file)
         ended = symbid_here(*command, *options)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 import urllib.request
 from contextlib import nullcontext
 from pathlib import Path
@@ -15,11 +16,12 @@ from typing import ClassVar
 import pytest
 import rclpy
 import typer
+from expected_errors import raises_code
 from rclpy.context import Context
 from rclpy.node import Node
 from rich.console import Console
 
-from symbid_ros.cli.live import given_parameters, report_end
+from symbid_ros.cli.live import given_parameters, report_end, saved_part_named
 from symbid_ros.errors import SymbidError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
@@ -95,7 +97,7 @@ def test_the_end_repeats_warnings_and_alarms(capsys, caplog) -> None:
 class EndedNode:
     """Stands for the process of a node that is interrupted at once."""
 
-    was_interrupted = False
+    was_interrupted = was_killed = False
     summary: ClassVar[dict[str, object] | None]
 
     def __init__(self, name, parameters, environment, log: Path, **options) -> None:
@@ -141,6 +143,20 @@ def test_logs_of_the_nodes_are_kept_after_an_error_alone(
     kept = [str(folder) for folder in tmp_path.iterdir()]
     assert len(kept) == is_kept
     assert all(folder in capsys.readouterr().out.replace("\n", "") for folder in kept)
+
+
+@pytest.mark.parametrize(("age", "says"), [(-60, "keeps what was saved at"), (60, "nothing of")])
+def test_the_error_of_a_killed_identifier_tells_what_is_saved(tmp_path, age, says) -> None:
+    """A result of before this run is not its own."""
+    saved = tmp_path / "estimate.json"
+    saved.write_text("{}")
+    os.utime(saved, times=2 * (time.time() - age,))
+    ended = EndedNode("identifier", {}, {}, tmp_path / "log")
+    for was_killed, folder in ((True, tmp_path), (False, tmp_path), (True, None)):
+        ended.was_killed = was_killed
+        with raises_code("E553") as raised, saved_part_named(ended, folder):
+            raise SymbidError("the identifier ended", "E553")
+        assert (says in str(raised.value)) == (was_killed and folder is not None)
 
 
 @pytest.mark.usefixtures("domain")

@@ -6,6 +6,7 @@ import subprocess
 
 import pytest
 import rclpy
+from expected_errors import raises_code
 from rclpy.context import Context
 
 from symbid_ros.cli.processes import NodeProcess, unused_domain
@@ -59,6 +60,26 @@ def test_the_error_of_a_node_keeps_its_code(tmp_path, monkeypatch, last: str, la
     with pytest.raises(SymbidError) as raised:
         node.finish()
     assert raised.value.labelled == label.format(log)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+def test_a_node_that_was_killed_is_not_blamed_on_its_last_line(
+    tmp_path, monkeypatch, number: signal.Signals
+) -> None:
+    log = tmp_path / "log"
+
+    class Killed(subprocess.Popen):
+        def __init__(self, _: object, **options) -> None:
+            command = f"echo '[WARN] an exact estimate takes long' >&2; kill -{number.value} $$"
+            super().__init__(["sh", "-c", command], **options)
+
+    monkeypatch.setattr(subprocess, "Popen", Killed)
+    node = NodeProcess("identifier", {}, os.environ, log)
+    with raises_code("E553", f"killed by signal {number.value}") as raised:
+        node.finish()
+    assert node.was_killed
+    assert "estimate" not in str(raised.value)
+    assert ("memory" in str(raised.value)) == (number == signal.SIGKILL)
 
 
 def test_a_signal_while_a_node_starts_leaves_no_process(tmp_path, monkeypatch) -> None:

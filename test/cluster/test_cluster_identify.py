@@ -1,10 +1,13 @@
 """Twelve bags on two workers give what one process does, even when a worker is killed."""
 
 import json
+import logging
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +16,7 @@ import pytest
 from arm_log import arm_streams
 from dask_cluster import local_cluster
 from documented_robots import ur5_urdf
+from expected_errors import raises_code
 from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from random_logs import write_bag
 
@@ -160,6 +164,7 @@ def test_errors_of_workers_are_those_of_one_process(cluster, bags, request_of_al
             ((bags[0].parent / "missing",), "E955"),
             ((f"unknown://{bags[0]}",), "E955"),
             ((bags[1], bags[0]), "E958"),
+            ((bags[0], bags[0]), "E958"),  # equal clocks
         ):
             request = ClusterRequest(tuple(map(str, places)), request_of_all)
             with pytest.raises(SymbidError) as raised:
@@ -170,6 +175,39 @@ def test_errors_of_workers_are_those_of_one_process(cluster, bags, request_of_al
         with pytest.raises(SymbidError, match="drive_gain") as raised:
             ClusterRequest(tuple(map(str, bags)), checked).load(dask, Path("unused"))
         assert raised.value.code == "E956"
+
+
+class Reaction(logging.Handler):
+    """Calls a function at the first warning."""
+
+    def __init__(self, function: Callable[[], object]) -> None:
+        super().__init__(logging.WARNING)
+        self.function, self.messages = function, []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.messages.append(record.getMessage())
+        if len(self.messages) == 1:
+            self.function()
+
+
+@pytest.mark.parametrize("ending", ["workers", "scheduler"])
+def test_workers_and_a_scheduler_that_end_midway_are_named(tmp_path, monkeypatch, ending) -> None:
+    """Without workers the tasks wait, so a worker that is started then computes them."""
+    monkeypatch.setattr(connection, "CHECK_PERIOD", 0.2)
+    with local_cluster(tmp_path, workers=1) as started:
+        react = Reaction(started.start_worker if ending == "workers" else started.scheduler.kill)
+        connection.logger.addHandler(react)
+        try:
+            with (
+                nullcontext() if ending == "workers" else raises_code("E953", "the scheduler"),
+                connected(started.address) as dask,
+            ):
+                started.workers[0].kill()
+                assert dask.results([dask.submit(max, 1, 2)], "waiting") == [2]
+        finally:
+            connection.logger.removeHandler(react)
+    (message,) = react.messages
+    assert f"dask worker {started.address}" in message
 
 
 def test_a_missing_scheduler_is_named(monkeypatch) -> None:

@@ -209,8 +209,10 @@ def test_a_wrist_with_hardly_any_load_of_its_own_has_no_gain(ur5, seed) -> None:
     assert [one.message for one in judged(ur5, streams, seed).findings] == []
 
 
-def test_an_effort_that_is_always_zero(ur5) -> None:
-    streams = with_effort(arm_streams(ur5, SECONDS, 1, friction=0.05), 1, 0.0)
+@pytest.mark.parametrize("factor", [0.0, 1e-17])
+def test_an_effort_that_is_always_zero(ur5, factor) -> None:
+    """Computed efforts of a joint without a load are rounding errors."""
+    streams = with_effort(arm_streams(ur5, SECONDS, 1, friction=0.05), 1, factor)
     (finding,) = judged(ur5, streams).findings
     assert finding.kind is Kind.MISSING_JOINT
     assert ur5.joint_names[1] in finding.message

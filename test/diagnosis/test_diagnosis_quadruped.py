@@ -62,15 +62,17 @@ def test_nothing_is_found_though_drives_rub(judged) -> None:
     assert diagnosis.figures["/imu/angle_deg"] < 1
 
 
-def test_the_noise_of_loads_follows_from_that_of_the_feet(log, model, tmp_path) -> None:
-    """Of two logs that differ in white noise of the forces, the averaged rows differ as much."""
+@pytest.mark.parametrize("what", ["effort", "wrench"])
+def test_the_noise_of_rows_follows_from_that_of_the_sensors(log, model, tmp_path, what) -> None:
+    """Of two logs that differ in white noise, the averaged rows differ as much."""
 
     def statistics(noise: float) -> ModelStatistics:
         noisy = copy.deepcopy(log)
         rng = np.random.default_rng(4)
-        for topic in (f"/{foot}/wrench" for foot in FEET):
-            wrench = noisy[topic]["wrench"]
-            wrench[:, :3] += noise * rng.standard_normal((len(wrench), 3))
+        for topic in [JOINTS] if what == "effort" else [f"/{foot}/wrench" for foot in FEET]:
+            reading = noisy[topic][what]
+            channels = reading[:, :3] if what == "wrench" else reading
+            channels += noise * rng.standard_normal(channels.shape)
         bag = record_log(noisy, model, tmp_path / f"bag{noise:g}")
         found = None
         for segment in align_checked(read_streams([bag]), model):
@@ -81,11 +83,32 @@ def test_the_noise_of_loads_follows_from_that_of_the_feet(log, model, tmp_path) 
         return found
 
     (few, before), (many, after) = (
-        (one.rows.residual_squares(one.problem.expected)[6:], one.problem.load_noise.sum(axis=0))
+        (
+            one.rows.residual_squares(one.problem.expected)[6:],
+            one.problem.load_noise.sum(axis=0) + one.problem.noise[6:],
+        )
         for one in (statistics(0.0), statistics(200.0))
     )
     np.testing.assert_allclose(after - before, many - few, rtol=0.5)
     assert np.sum(after - before) == pytest.approx(np.sum(many - few), rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def smooth_log(model):
+    """What a robot says whose drives hardly rub and whose inertias are not the model's."""
+    parameters = ParameterSet(model)
+    real = parameters.link_phi(draw_prior(parameters, "consistent", 20, 3).mean)
+    return standing_log(model.with_phi(real), 20.0, 3, friction=0.01)
+
+
+@pytest.mark.parametrize("noise", [5.0, 50.0, 100.0])
+def test_noise_of_efforts_accuses_no_sensor(smooth_log, model, tmp_path, noise) -> None:
+    """Gains near zero would remove the noise, and offsets or forces would explain the rest."""
+    noisy = copy.deepcopy(smooth_log)
+    effort = noisy[JOINTS]["effort"]
+    effort += noise * np.random.default_rng(3).standard_normal(effort.shape)
+    log = bag_log([record_log(noisy, model, tmp_path / "bag")], model)
+    assert {one.kind for one in diagnose(log, model).findings} <= {Kind.EFFORT_NOISE}
 
 
 def test_nothing_is_found_at_a_low_rate(judged) -> None:

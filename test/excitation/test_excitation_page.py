@@ -1,5 +1,7 @@
 """The page of a plan in the system's Chromium."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from browser import DESKTOP, PHONE
@@ -29,6 +31,32 @@ def page_file(plan, tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "plan.html"
     path.write_text(render_page(plan))
     return path
+
+
+def test_a_joint_that_only_follows_is_not_listed(tmp_path):
+    text = ur5_urdf().read_text()
+    wrist = text.index('<joint name="wrist_3_joint"')
+    end = text.index("</joint>", wrist)
+    path = tmp_path / "ur5.urdf"
+    path.write_text(f'{text[:end]}<mimic joint="wrist_2_joint"/>{text[end:]}')
+    problem = excitation_problem(
+        load_model(path, "fixed"),
+        ExciteOptions(period=5.0, seconds=10.0, harmonics=2),
+        JointSensorOptions(),
+    )
+    optimizer = TrajectoryOptimizer(problem.design, seed=0)
+    optimizer.run(starts=1, iterations=1)
+    followed = ExcitationPlan(problem, optimizer.best, optimizer.random)
+    listed = [name for _, name in followed.independent]
+    assert "wrist_2_joint" in listed
+    assert "wrist_3_joint" not in listed
+
+
+def test_joints_whose_assumed_noise_exceeds_their_efforts_are_named(plan):
+    """The noise is a share of effort limits, which are placeholders in some files."""
+    assert plan.noisy == []
+    placeholders = replace(plan.problem, capacity=np.full_like(plan.problem.capacity, 1e6))
+    assert replace(plan, problem=placeholders).noisy == list(plan.joints.names)
 
 
 @pytest.mark.parametrize(("width", "dark"), [(DESKTOP, False), (DESKTOP, True), (PHONE, True)])

@@ -156,8 +156,14 @@ class TestAlignment:
     def test_errors_name_the_cause(self, moving):
         model, streams = moving
         joints = streams.joints
-        with raises_code("E306", "joint_"):
-            align(replace(streams, joints=replace(joints, names=("a", "b", "c"))), model)
+        of_another = replace(streams, joints=replace(joints, names=("a", "b", "c")))
+        # A frame of another robot's sensor is missing as well.
+        of_another = replace(of_another, imus=(replace(streams.imus[0], frame_id="elsewhere"),))
+        for check in (align, align_checked):
+            with raises_code("E306", "none of the joints 'joint_"):
+                check(of_another, model)
+        with raises_code("E306", "no joint 'joint_"):
+            align(replace(streams, joints=replace(joints, names=(*joints.names[:2], "c"))), model)
         late = replace(streams.imus[0], stamp=streams.imus[0].stamp + 10**10)
         with raises_code("E302"):
             align(replace(streams, imus=(late,)), model)

@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,9 @@ HOST = "127.0.0.1"
 @dataclass(frozen=True)
 class LocalCluster:
     address: str
+    scheduler: subprocess.Popen
     workers: tuple[subprocess.Popen, ...]
+    start_worker: Callable[[], subprocess.Popen]  # another one, which ends with the others
 
 
 @contextmanager
@@ -39,7 +41,11 @@ def local_cluster(folder: Path, workers: int = 2) -> Iterator[LocalCluster]:
         line = next(line for line in scheduler.stderr if "Scheduler at:" in line)
         address = line.split()[-1]
         own = ("--nthreads", "1", "--no-nanny", "--local-directory", str(folder))
-        started = [start("worker", address, *own) for _ in range(workers)]
+
+        def start_worker() -> subprocess.Popen:
+            return start("worker", address, *own)
+
+        started = [start_worker() for _ in range(workers)]
         for worker in started:
             next(line for line in worker.stderr if "Registered to:" in line)
-        yield LocalCluster(address, tuple(started))
+        yield LocalCluster(address, scheduler, tuple(started), start_worker)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from symbid_ros.bags.container.blocks import MessageBlock, read_mcap_blocks
-from symbid_ros.bags.container.mcap_records import quote_path, report_damage
+from symbid_ros.bags.container.mcap_records import advise_to_recover, quote_path, report_damage
 from symbid_ros.bags.container.mcap_summary import read_summary
 from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_blocks, read_sqlite_summary
 from symbid_ros.errors import BagError
@@ -162,8 +162,9 @@ def count_messages(bags: Sequence[Path]) -> dict[Topic, int]:
     require_distinct(bags)
     counts: Counter[Topic] = Counter()
     for bag in bags:
-        for file in list_files(bag):
-            counts.update(_count_messages_of_file(file))
+        with advise_to_recover(bag):
+            for file in list_files(bag):
+                counts.update(_count_messages_of_file(file))
     return dict(counts)
 
 
@@ -195,8 +196,9 @@ def _counts_of_mcap(file: Path, size: int, modified_ns: int) -> dict[Topic, int]
 def read_blocks(bags: Sequence[Path]) -> Iterator[MessageBlock]:
     """Yield all messages of bags that continue one another, a few megabytes at a time."""
     for bag in bags:
-        for file in list_files(bag):
-            if file.suffix == SQLITE_SUFFIX:
-                yield from read_sqlite_blocks(file)
-            else:
-                yield from read_mcap_blocks(file)
+        with advise_to_recover(bag):
+            for file in list_files(bag):
+                if file.suffix == SQLITE_SUFFIX:
+                    yield from read_sqlite_blocks(file)
+                else:
+                    yield from read_mcap_blocks(file)

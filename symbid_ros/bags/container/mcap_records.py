@@ -51,15 +51,51 @@ CHUNK_HEAD = struct.Struct("<QQQII")
 TIMES = struct.Struct("<QQ")
 
 
+class DamagedFileError(BagError):
+    """A bag's file that `symbid bag recover` may repair.
+
+    Parameters
+    ----------
+    file : Path
+    fault : str
+    advice : str
+        What to do, with ``{recover}`` for the command.
+    code : str
+    """
+
+    def __init__(self, file: Path, fault: str, advice: str, code: str) -> None:
+        self.file, self.fault, self.advice = file, fault, advice
+        super().__init__(f"{file}: {fault}; {self._advice_for(file)}", code)
+
+    def with_bag(self, bag: Path) -> "DamagedFileError":
+        """Return the error with the advice to recover the bag that the file is part of."""
+        error = DamagedFileError(self.file, self.fault, self.advice, self.code)
+        error.args = (f"{self.file}: {self.fault}; {self._advice_for(bag)}",)
+        return error
+
+    def _advice_for(self, bag: Path) -> str:
+        return self.advice.format(recover=f"`symbid bag recover {quote_path(bag)}`")
+
+
+@contextmanager
+def advise_to_recover(bag: Path) -> Iterator[None]:
+    """Let errors of damaged files advise to recover the bag, not one of its files."""
+    try:
+        yield
+    except DamagedFileError as error:
+        raise error.with_bag(bag) from error
+
+
 @contextmanager
 def report_damage(file: Path) -> Iterator[None]:
     """Turn errors of reading damaged records into a `BagError` that names the file."""
     try:
         yield
     except OverLimitError as error:
-        raise BagError(
-            f"{file}: {error}, as in a damaged or malicious file; "
-            f"run `symbid bag recover {quote_path(file)}` or record in smaller chunks",
+        raise DamagedFileError(
+            file,
+            f"{error}, as in a damaged or malicious file",
+            "run {recover} or record in smaller chunks",
             "E207",
         ) from error
     except (
@@ -75,15 +111,13 @@ def report_damage(file: Path) -> Iterator[None]:
         raise unreadable_error(file, error) from error
 
 
-def damage_error(file: Path, storage: str, error: Exception) -> BagError:
+def damage_error(file: Path, storage: str, error: Exception) -> DamagedFileError:
     """Return the error for a file whose content a parser rejected."""
     detail = " ".join(str(error).split())[:200]
     if isinstance(error, struct.error) or not detail:
         detail = "it ends early"
-    return BagError(
-        f"{file}: damaged {storage} file: {detail}; use another copy or run "
-        f"`symbid bag recover {quote_path(file)}`",
-        "E206",
+    return DamagedFileError(
+        file, f"damaged {storage} file: {detail}", "use another copy or run {recover}", "E206"
     )
 
 
@@ -133,10 +167,8 @@ def checked_size(file: Path) -> int:
         stream.seek(max(0, end - FOOTER_SIZE - len(MAGIC)))
         ending = stream.read()
     if ending[-len(MAGIC) :] != MAGIC or ending[0] != Opcode.FOOTER:
-        raise BagError(
-            f"{file}: the recording was interrupted, the file has no footer; "
-            f"run `symbid bag recover {quote_path(file)}`",
-            "E205",
+        raise DamagedFileError(
+            file, "the recording was interrupted, the file has no footer", "run {recover}", "E205"
         )
     return end
 

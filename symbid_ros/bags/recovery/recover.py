@@ -60,7 +60,7 @@ def recover(bag: Path, out: Path | None = None) -> RecoveryReport:
             kind = identify_other_format(file)
         if kind and len(files) == 1:
             raise BagError(f"{file}: {kind}", "E204")
-    place = bag.resolve()
+    place = bag if bag.name not in ("", "..") else bag.resolve()  # as the user named it
     target = out or place.with_name(f"{place.stem if bag.is_file() else place.name}_recovered")
     mode = _compression_mode(bag)
     with create_folder(target) as folder, BagRewriter(folder, mode) as new:

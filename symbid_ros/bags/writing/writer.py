@@ -1,5 +1,6 @@
 """Write bags in the format of rosbag2: MCAP files and a metadata.yaml in a folder."""
 
+import errno
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
@@ -13,6 +14,7 @@ from symbid_ros.messages.definitions import find_definition
 from symbid_ros.messages.topics import OfferedQos
 
 CHUNK_SIZE = 64 * 1024  # the most that a killed recorder loses: 64 ms of four sensors at 1 kHz
+DISK_FULL = errno.ENOSPC, errno.EDQUOT
 DESCRIPTION = 2048  # upper bound for a file without topics in the bag's metadata, bytes
 
 
@@ -67,9 +69,10 @@ class BagWriter:
                 shutil.rmtree(path, ignore_errors=True)
                 raise
         except OSError as error:
+            advice = "free disk space" if error.errno in DISK_FULL else "check its permissions"
             raise BagError(
-                f"{path}: cannot create the bag: {error.strerror}; free disk space or choose "
-                "another folder",
+                f"{path}: cannot create the bag: {error.strerror}; {advice} or choose another "
+                "folder",
                 "E219",
             ) from error
 
