@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS
+from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS, UNSEEN_WITH_CONTACTS
 from symbid_ros.dynamics.kinematics import link_poses, rotate
 from symbid_ros.dynamics.regressor import Rows, coulomb_column, friction_state, stribeck_column
 from symbid_ros.dynamics.upright import upward
@@ -21,7 +21,11 @@ from symbid_ros.identification.warming import is_too_short
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.warming import Course, courses_of
-from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
+from symbid_ros.signals.calibrating_rows import (
+    CalibratingRows,
+    LinearizationPoint,
+    interpolated_columns,
+)
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
 from symbid_ros.signals.segments import Segment, stamp_spans
 from symbid_ros.signals.sensor_errors import COMPLIANCE, SensorErrors
@@ -147,6 +151,26 @@ class CandidateRows:
 
 
 @dataclass(frozen=True)
+class _FurtherErrors:
+    """Rows in a robot's parameters, biases of its IMUs and further errors, a ``RowBuilder``."""
+
+    build: CalibratingRows
+    errors: SensorErrors
+    point: LinearizationPoint
+
+    def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
+        """Yield the rows of sensor samples."""
+        corrected = self.build.errors.corrected(readings, self.build.linearization.theta)
+        start = 0
+        for part in self.build(readings):
+            here = corrected[start : start + len(part.stamp)]
+            start += len(part.stamp)
+            C = interpolated_columns(self.build.parameters, self.errors, self.point, here)
+            rows = Rows(np.concatenate([part.rows.K, -C], axis=2), part.rows.y)
+            yield replace(part, rows=rows)
+
+
+@dataclass(frozen=True)
 class CandidateBuilder:
     """Builds rows with the columns of all candidates, a ``RowBuilder``.
 
@@ -184,18 +208,26 @@ class CandidateBuilder:
         terms = () if found.estimate.joint_terms is not None else TERMS
         missing = tuple(term for term in terms if term not in parameters.terms)
         errors = None
-        if not isinstance(build, CalibratingRows):
+        if not isinstance(build, CalibratingRows) or build.errors.kinds == ("imu_bias",):
             # Columns of measured efforts would explain their own residuals: see ``effects``.
             left_out = {"torque_gain"}
             others = segment.wrench_frames or segment.imu_frames or parameters.model.wrist_sensors
             if not others:
                 left_out.add("sensor_delay")
+            if parameters.model.contacts is not None:
+                left_out.update(UNSEEN_WITH_CONTACTS)
+            if isinstance(build, CalibratingRows):
+                left_out.update(build.errors.kinds)
             kinds = [kind for kind in SENSOR_ERROR_KINDS if kind not in left_out]
             errors = SensorErrors.of(
                 kinds, parameters.model, segment.wrench_frames, segment.imu_frames
             )
-            point = LinearizationPoint(found.unknowns, np.zeros(len(errors)))
-            build = CalibratingRows(parameters, errors, point)
+            phi = found.unknowns[: len(parameters)]
+            point = LinearizationPoint(phi, np.zeros(len(errors)))
+            if isinstance(build, CalibratingRows):
+                build = _FurtherErrors(build, errors, point)
+            else:
+                build = CalibratingRows(parameters, errors, point)
         return cls(build, parameters, found.unknowns, errors, missing)
 
     @property
@@ -205,7 +237,12 @@ class CandidateBuilder:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Kinds with one column for each joint; a delay's also serve for all efforts together."""
+        """Kinds with one column for each joint; a delay's also serve for all efforts together.
+
+        There are none without foot sensors, where a joint's effort enters several rows.
+        """
+        if self.parameters.model.contacts is not None:
+            return ()
         gain = () if self.errors is None else ("torque_gain",)
         warming = () if is_too_short(self.courses) else ("warming",)
         return (*self.terms, "quadratic", *warming, "delay", *gain)

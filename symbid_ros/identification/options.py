@@ -230,7 +230,8 @@ class IdentifyOptions(RobotOptions):
         f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)}. compliance: "
         "elastic joints; link_length, joint_axis: errors of the model's geometry.",
         group=JOINTS,
-        unset="imu_bias with `contact`; for arms, compliance if the log shows it; otherwise none",
+        unset="for arms, compliance if the log shows it; otherwise none. With `contact` imu_bias, "
+        "also beside others",
     )
     filter: Filter | None = option(
         None,
@@ -469,21 +470,21 @@ class IdentifyOptions(RobotOptions):
         if not named and self.tare:
             named = {"typical"}
         if self.assumes_imu_bias:
-            named = {"imu_bias"}
+            named.add("imu_bias")
         if "typical" in named:
             named |= set(TYPICAL_ERRORS)
         return tuple(kind for kind in SENSOR_ERROR_KINDS if kind in named)
 
     @property
     def assumes_imu_bias(self) -> bool:
-        """Whether biases of IMUs are identified although no sensor error is named.
+        """Whether biases of IMUs are identified even if they are not named.
 
         Without foot sensors they look like forces: 2 mg shift centres of mass by many standard
         deviations. Information of several logs has no columns of one log's biases.
         """
-        named = self.named_sensor_errors or self.tare or self.information
+        is_excluded = "none" in self.named_sensor_errors or self.information is not None
         is_weak = self.method in GAUSSIAN and self.row_filter == "weak"
-        return bool(self.contacts) and not named and is_weak
+        return bool(self.contacts) and not is_excluded and is_weak
 
     @property
     def named_flags(self) -> list[str]:

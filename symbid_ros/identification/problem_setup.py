@@ -86,7 +86,8 @@ class ProblemSetup:
             problem = replace(problem, prior=prior)
         kinds: tuple[str, ...] = options.sensor_error_kinds
         first = next(iter(dataset.segments), None)
-        if options.assumes_imu_bias and (first is None or not first.imu_frames):
+        is_assumed = options.assumes_imu_bias and not options.named_sensor_errors
+        if is_assumed and (first is None or not first.imu_frames):
             kinds = ()
         kinds += (PLACE,) * bool(parameters.unplaced)
         if factors is not None and not kinds and parameters.model.contacts is None:
@@ -99,7 +100,7 @@ class ProblemSetup:
             tares = {**self.checks.tares, **self.tares}
             request = SensorErrorRequest(kinds, tares, self.checks.mountings, factors)
             problem = calibrate(problem, dataset, request)
-            if options.assumes_imu_bias:  # later logs have other biases
+            if is_assumed:  # later logs have other biases
                 problem = replace(problem, stored=dataset.observations)
         if options.information is not None:
             earlier = with_columns(load_archive(options.information), parameters)

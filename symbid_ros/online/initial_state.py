@@ -71,7 +71,8 @@ class InitialState:
         """
         _check_online(options)
         options = replace(options, drive_gain=(), drive_gain_percent=None)
-        if options.assumes_imu_bias:  # which `resume` could not continue
+        if options.assumes_imu_bias and not options.named_sensor_errors:
+            # `resume` could not continue it.
             options = replace(options, sensor_errors=("none",))
         parameters = load_parameters(robot, options)
         prior = choose_prior(options, parameters)

@@ -232,7 +232,7 @@ class CalibratingRows:
             part = readings[start : start + CHUNK]
             samples = at_base(errors.corrected(part, point.theta), parameters.model)
             rows = equation_of_motion(parameters, samples)
-            C = _interpolated_columns(self.parameters, errors, point, part)
+            C = interpolated_columns(self.parameters, errors, point, part)
             if errors.gained:
                 C = C.copy()
                 place = errors.places[DRIVE_GAIN]
@@ -252,7 +252,7 @@ class CalibratingRows:
             yield rows_that_hold(parameters, samples, rows)
 
 
-def _interpolated_columns(
+def interpolated_columns(
     parameters: ParameterSet,
     errors: SensorErrors,
     linearization: LinearizationPoint,
@@ -266,7 +266,7 @@ def _interpolated_columns(
             ends = [0, *changes.tolist(), len(readings)]
             parts = [readings[start:stop] for start, stop in pairwise(ends)]
             return np.concatenate(
-                [_interpolated_columns(parameters, errors, linearization, one) for one in parts]
+                [interpolated_columns(parameters, errors, linearization, one) for one in parts]
             )
     starts = np.flatnonzero(
         np.diff(
