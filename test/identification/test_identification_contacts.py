@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from live_feed import feed_of
 from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
+from scipy.spatial.transform import Rotation
 
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import DataError, EstimateError, OptionError
@@ -237,6 +238,25 @@ def test_biases_of_the_imu_are_identified_unless_others_are_named(
     assert saved[0].layout.parameters == ParameterSet(robot).names
     alone = load_information(robot, saved, IdentifyOptions(**options)).solve()
     assert not alone.estimate.verdict.sensors
+
+
+def test_an_alarm_names_the_sensor_error_and_its_option_corrects_it(robot, steps):
+    """A rotated IMU looks like other forces, beside the biases that are identified anyway."""
+    turn = Rotation.from_euler("z", 6, degrees=True)
+    channels = ("angular_velocity", "linear_acceleration")
+    turned = {name: turn.apply(steps["/imu"][name]) for name in channels}
+    log = with_flags(robot, steps | {"/imu": steps["/imu"] | turned})
+    options = {"contact": POINTS, "joint_terms": ("none",), "unchecked": True}
+    found = identify(robot, log, **options)
+    assert any("give `sensor_errors` imu_mounting" in one for one in found.alarms)
+    mended = identify(robot, log, **options, sensor_errors=("imu_mounting",))
+    assert not any("white noise" in one for one in mended.alarms)
+    errors = {one.name: one for one in mended.estimate.verdict.sensors}
+    angle = errors["imu_link/imu_mounting_z"]
+    assert np.degrees(angle.value) == pytest.approx(-6, abs=0.3)
+    assert "imu_link/imu_bias_accelerometer_x" in errors
+    before, after = (one.estimate.holdout.percent_after for one in (found, mended))
+    assert after < 0.5 * before
 
 
 def test_the_data_choose_the_friction_of_legs_that_swing(robot, true_robot):
