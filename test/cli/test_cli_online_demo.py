@@ -33,7 +33,7 @@ def test_the_estimates_converge_and_are_reported(tmp_path: Path, monkeypatch) ->
     assert ended.returncode == 0, ended.stderr
     lines = ended.stdout.splitlines()
     told = [line for line in lines if line.startswith("data to")]
-    determined = [int(re.findall(r": (\d+) of \d+ parameters", line)[0]) for line in told]
+    determined = [int(re.findall(r": (\d+) of \d+ single parameters", line)[0]) for line in told]
     assert determined[-1] > 0
     # Live estimates are exact to a hundredth of a deviation, which may decide at the limit.
     assert determined[-1] >= max(determined) - AT_THE_LIMIT
@@ -145,7 +145,7 @@ def test_a_failed_node_ends_the_demo_with_one_line(demo: Demo, node: str) -> Non
     status, err = demo.ended()
     assert status == 2
     (line,) = err.splitlines()
-    assert line.startswith(f"symbid: {node} failed: ")
+    assert line.startswith(f"symbid: {node} was killed by signal 9")
 
 
 @pytest.mark.parametrize(

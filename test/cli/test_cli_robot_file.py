@@ -288,7 +288,7 @@ def test_an_option_of_the_command_line_comes_first(
         *("--rename-joint", "a:=b"),
     )
     assert ended.returncode == 2
-    assert "has no joint" in ended.stderr
+    assert "has none of the joints" in ended.stderr
     assert "`symbid init` finds them and writes a robot file" in ended.stderr
 
 

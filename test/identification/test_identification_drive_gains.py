@@ -244,7 +244,7 @@ def test_factors_that_differ_as_those_of_currents_are_identified(robot, model, g
     (alarm,) = (one for one in found.alarms if Alarm.WRONG_FACTORS in one)
     is_open = len(named) == len(gain)
     assert ("only their ratios" in alarm) == is_open
-    assert any("leaves the common scale" in one for one in found.estimate.remarks) == is_open
+    assert any("does not show the common scale" in one for one in found.estimate.remarks) == is_open
     sensors = [one.name for one in found.estimate.verdict.sensors]
     assert sensors == [f"{robot.joint_names[index]}/drive_gain" for index in named]
     relative = factors(found) / np.array(gain)[named]

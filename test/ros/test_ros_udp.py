@@ -137,6 +137,7 @@ def test_a_client_takes_models_from_an_identifier(graph, client: Client, tmp_pat
     balancer = client(listening(graph, statuses), *words)
     assert balancer.stderr is not None
     graph.wait_until(lambda: select.select([balancer.stderr], [], [], 0.0)[0])
+    assert balancer.stderr.readline().startswith("waiting for measurements")
     assert balancer.stderr.readline().startswith("model identified until ")
     identifier.kill()  # the robot stands on with the last model
     time = float(statuses.value(SIMULATION, "time"))
