@@ -21,9 +21,8 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.user_files import open_regular
 
-FORMAT = 4
-TRIANGLE_FORMAT = 3  # of earlier versions, with triangles only
-DENSE_FORMAT = 2  # before that, with all zeros, both halves of moments, and all copies
+FORMAT = 4  # format 3 had triangles only
+DENSE_FORMAT = 2  # of earlier versions, with all zeros, both halves of moments, and all copies
 ARCHIVE = "an information.npz"
 MAX_ARRAYS = 10_000
 MAX_BYTES = 2 << 30  # of all arrays, unpacked; a humanoid with 45 joints needs a quarter

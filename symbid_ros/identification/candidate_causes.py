@@ -239,7 +239,7 @@ class CandidateBuilder:
     def effects(self) -> tuple[str, ...]:
         """Kinds with one column for each joint; a delay's also serve for all efforts together.
 
-        There are none without foot sensors, where a joint's effort enters several rows.
+        Without foot sensors there are none, because each effort then enters several rows.
         """
         if self.parameters.model.contacts is not None:
             return ()

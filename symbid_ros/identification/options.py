@@ -230,8 +230,8 @@ class IdentifyOptions(RobotOptions):
         f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)}. compliance: "
         "elastic joints; link_length, joint_axis: errors of the model's geometry.",
         group=JOINTS,
-        unset="for arms, compliance if the log shows it; otherwise none. With `contact` imu_bias, "
-        "also beside others",
+        unset="for arms, compliance if the log shows it; otherwise none. With `contact`, "
+        "imu_bias is always identified, unless none is given",
     )
     filter: Filter | None = option(
         None,

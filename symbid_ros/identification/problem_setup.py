@@ -90,7 +90,7 @@ class ProblemSetup:
         if is_assumed and (first is None or not first.imu_frames):
             kinds = ()
         kinds += (PLACE,) * bool(parameters.unplaced)
-        if factors is not None and not kinds and parameters.model.contacts is None:
+        if factors is not None and not kinds:
             solve = partial(_with_chosen_terms, is_trial=True)
             problem = identify_gains(problem, dataset, factors, solve)
             return SolvedProblem.of(problem, is_trial=is_trial)

@@ -37,8 +37,8 @@ COLUMN_PERIOD_NS = 20_000_000
 CHUNK = 4096
 STEP = 1e-4  # of a finite difference, rad, rad/s or m/s²; of deflections at the largest effort
 TIME_STEP = 1e-5  # of a finite difference, s
-# Errors of measured forces, of which the columns are those forces' generalised ones.
-FORCE_ERRORS, NONE = ("torque_gain", "wrench_offset", "wrench_gain", "wrench_position"), slice(0)
+# Kinds of errors whose columns are generalised forces, as the efforts and wrenches themselves are.
+FORCE_ERRORS = "torque_gain", "wrench_"
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,10 @@ def error_columns(
             effort = errors.realigned(readings, theta).effort[:, errors.driven]
             C[:, rows, range(place.start, place.stop)] = -np.nan_to_num(effort) / (1 + gain) ** 2
     _fill_plates(C, errors, model, readings, theta)
-    forces = [k for kind in FORCE_ERRORS for k in range(len(errors))[errors.places.get(kind, NONE)]]
-    if model.contacts is not None and forces:
+    is_force = [name.rpartition("/")[2].startswith(FORCE_ERRORS) for name in errors.names]
+    if model.contacts is not None and any(is_force):
         samples = at_base(errors.corrected(readings, theta), model)
-        C[:, :, forces] = without_contacts(model, samples, C[:, :, forces])
+        C[:, :, is_force] = without_contacts(model, samples, C[:, :, is_force])
     if LENGTH in errors.kinds or AXIS in errors.kinds:
         corrected = errors.corrected(readings, theta)
         phi = _carried_phi(parameters, linearization.phi, readings.stamp)

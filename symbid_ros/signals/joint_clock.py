@@ -53,7 +53,7 @@ class JointClock:
     Attributes
     ----------
     joints : JointStream
-        The messages that are no copies, without those too close to the one before.
+        The messages that are neither copies nor too close to the one before.
     copies : (N,) bool
         Messages, of all as recorded, that repeat the one before them.
     jitter : float
