@@ -28,7 +28,7 @@ from symbid_ros.signals.calibrating_rows import (
 )
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
 from symbid_ros.signals.segments import Segment, stamp_spans
-from symbid_ros.signals.sensor_errors import COMPLIANCE, SensorErrors
+from symbid_ros.signals.sensor_errors import COMPLIANCE, IMU_BIAS, SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import block_length, windowed_rows
 
@@ -208,7 +208,7 @@ class CandidateBuilder:
         terms = () if found.estimate.joint_terms is not None else TERMS
         missing = tuple(term for term in terms if term not in parameters.terms)
         errors = None
-        if not isinstance(build, CalibratingRows) or build.errors.kinds == ("imu_bias",):
+        if not isinstance(build, CalibratingRows) or build.errors.kinds == (IMU_BIAS,):
             # Columns of measured efforts would explain their own residuals: see ``effects``.
             left_out = {"torque_gain"}
             others = segment.wrench_frames or segment.imu_frames or parameters.model.wrist_sensors

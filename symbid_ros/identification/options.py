@@ -230,8 +230,8 @@ class IdentifyOptions(RobotOptions):
         f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)}. compliance: "
         "elastic joints; link_length, joint_axis: errors of the model's geometry.",
         group=JOINTS,
-        unset="for arms, compliance if the log shows it; otherwise none. With `contact`, "
-        "imu_bias is always identified, unless none is given",
+        unset="compliance (arms) or imu_bias (robots with foot sensors) if the log shows it; "
+        "otherwise none. With `contact`, imu_bias always, unless none is given",
     )
     filter: Filter | None = option(
         None,
@@ -353,7 +353,14 @@ class IdentifyOptions(RobotOptions):
         """Whether the data choose the terms of each joint."""
         if self.named_terms or self.named_flags:
             return self.named_terms == ["auto"]
-        # Only rows averaged over windows and weighed against a prior can be compared.
+        return self.has_gaussian_rows
+
+    @property
+    def has_gaussian_rows(self) -> bool:
+        """Whether rows are averaged over windows and weighed against a prior.
+
+        Only then candidates can be compared.
+        """
         return self.method in GAUSSIAN and self.row_filter == "weak"
 
     @property
@@ -458,6 +465,12 @@ class IdentifyOptions(RobotOptions):
         return not named and self.searches
 
     @property
+    def finds_imu_bias(self) -> bool:
+        """Whether biases of IMUs are searched for in logs of robots with foot sensors."""
+        named = self.named_sensor_errors, self.has_further_unknowns, self.information
+        return self.has_gaussian_rows and not any(named)
+
+    @property
     def searches(self) -> bool:
         """Whether terms other than candidates are searched for in the log."""
         added = self.has_unplaced_payload, self.information, self.contacts
@@ -483,8 +496,7 @@ class IdentifyOptions(RobotOptions):
         deviations. Information of several logs has no columns of one log's biases.
         """
         is_excluded = "none" in self.named_sensor_errors or self.information is not None
-        is_weak = self.method in GAUSSIAN and self.row_filter == "weak"
-        return bool(self.contacts) and not is_excluded and is_weak
+        return bool(self.contacts) and not is_excluded and self.has_gaussian_rows
 
     @property
     def named_flags(self) -> list[str]:

@@ -1,13 +1,15 @@
 """Solves a log with the sensor errors, drive gains and joint terms that options ask for."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.calibration import (
     SensorErrorRequest,
@@ -39,7 +41,8 @@ from symbid_ros.identification.tares import Tare
 from symbid_ros.identification.term_priors import candidate_prior, named_term_prior
 from symbid_ros.identification.warming import find_warming
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.sensor_errors import DRIVE_GAIN, PLACE
+from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_errors import DRIVE_GAIN, IMU_BIAS, PLACE
 
 
 @dataclass(frozen=True)
@@ -100,8 +103,9 @@ class ProblemSetup:
             tares = {**self.checks.tares, **self.tares}
             request = SensorErrorRequest(kinds, tares, self.checks.mountings, factors)
             problem = calibrate(problem, dataset, request)
-            if is_assumed:  # later logs have other biases
-                problem = replace(problem, stored=dataset.observations)
+            if kinds == (IMU_BIAS,) and not is_trial:  # later logs have other biases
+                unbiased = _without_biases(problem, dataset, Processing.of(options))
+                problem = replace(problem, stored=unbiased)
         if options.information is not None:
             earlier = with_columns(load_archive(options.information), parameters)
             both = merged_observations(problem.observations, earlier, str(options.information))
@@ -110,10 +114,10 @@ class ProblemSetup:
         return _with_chosen_terms(problem, is_trial=is_trial, gained=gained)
 
     def with_found_terms(
-        self, parameters: ParameterSet, dataset: Dataset
+        self, parameters: ParameterSet, dataset: Dataset, solved: SolvedProblem
     ) -> tuple[ParameterSet, Dataset, SolvedProblem]:
         """Solve a log with further terms that it shows; return their columns and rows as well."""
-        solved, options = self.solve(parameters, dataset), self.options
+        options = self.options
         if parameters.model.floating and options.sensor_error_kinds:
             # Errors of IMUs and foot sensors leave residuals that joint terms would follow.
             return parameters, dataset, solved
@@ -157,6 +161,33 @@ class ProblemSetup:
             options, drive_gain=(), drive_gain_percent=None, sensor_errors=("none",), tare=()
         )
         return ProblemSetup(exact, self.prior).solve(parameters, dataset), dataset
+
+
+@dataclass(frozen=True)
+class _UnbiasedSegments:
+    """Segments whose IMUs' biases (I, 6), rad/s and m/s², are removed."""
+
+    segments: Iterable[Segment]
+    biases: FloatArray
+
+    def __iter__(self) -> Iterator[Segment]:
+        for one in self.segments:
+            yield replace(
+                one,
+                angular_velocity=one.angular_velocity - self.biases[:, :3],
+                linear_acceleration=one.linear_acceleration - self.biases[:, 3:],
+            )
+
+
+def _without_biases(
+    problem: Problem, dataset: Dataset, processing: Processing
+) -> tuple[Observations, ...]:
+    """Return the rows of a log without the biases that were found."""
+    build = problem.calibrated_rows
+    assert build is not None
+    biases = build.errors.of_kind(IMU_BIAS, build.linearization.theta)
+    segments = _UnbiasedSegments(dataset.segments, biases)
+    return fold_dataset(segments, dataset.source, problem.parameters, processing).observations
 
 
 def first_factors(

@@ -50,6 +50,7 @@ UNITS = {
     "payload_place": ("m",) * 3,
 }
 DRIVE_GAIN, COMPLIANCE, DELAY = "drive_gain", "compliance", "sensor_delay"
+IMU_BIAS = "imu_bias"
 PLACE = "payload_place"
 LENGTH, AXIS, FRAME = "link_length", "joint_axis", "frame_pose"
 # Owner of the delay of all efforts.
@@ -332,7 +333,7 @@ class SensorErrors:
             plates = Rotation.from_rotvec(frames[: len(self.wrench_frames)]).as_matrix()
             pairs = wrenches.reshape(*wrenches.shape[:2], 2, 3)
             wrenches = np.einsum("fij,nfkj->nfki", plates, pairs).reshape(wrenches.shape)
-        mounting, bias = self.of_kind("imu_mounting", theta), self.of_kind("imu_bias", theta)
+        mounting, bias = self.of_kind("imu_mounting", theta), self.of_kind(IMU_BIAS, theta)
         readings = _behind_gears(readings, self.of_kind(COMPLIANCE, theta)[:, 0])
         corrected = replace(
             readings,
