@@ -30,6 +30,9 @@ LEAST_SQUARE = 20.0
 # The same of biases. It is 0.3 at most on logs of four simulated quadrupeds and the Symbitron
 # without any, and 190 with biases of 0.01 m/s².
 LEAST_BIAS = 4.0
+# Whiteness of residuals in which nothing is left to explain. On logs of 2 s, biases far below those
+# of any IMU exceed their deviations. Biases of 0.004 m/s² give a quadruped's residuals 1.2.
+WHITE = 1.0
 # Deviations by which no compliance may be negative: then something else acts like it.
 IMPOSSIBLE = 3.0
 
@@ -81,7 +84,7 @@ def shows_imu_bias(solved: SolvedProblem, dataset: Dataset) -> bool:
         The log, of which the first three quarters are used.
     """
     model = solved.problem.parameters.model
-    if not model.floating or model.contacts:
+    if not model.floating or model.contacts or solved.whiteness <= WHITE:
         return False
     training = training_part(solved, dataset)
     first = next(iter(training), None)
@@ -103,7 +106,7 @@ def biases_explain(biased: SolvedProblem, solved: SolvedProblem, dataset: Datase
         Of the log, with and without biases as unknowns.
     dataset : Dataset
     """
-    left, before = biased.whiteness - 1, solved.whiteness - 1
+    left, before = biased.whiteness - WHITE, solved.whiteness - WHITE
     if biased.whiteness >= SUSPICIOUS_WHITENESS and left > before / 2:
         return False
     logger.warning(
