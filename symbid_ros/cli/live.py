@@ -120,16 +120,9 @@ def live(
         f"preparing: starting the nodes; their logs are in {logs}, which is kept after an error",
         **AS_IT_IS,
     )
-    name = unused_node_name("identifier", space, environment)
-    if name != "identifier":
-        console.print(
-            f"{space.rstrip('/')}/identifier is running already: this one is {name}; give "
-            "--namespace if each robot has its topics in a namespace",
-            **AS_IT_IS,
-        )
     remapped = {"__ns": space}
-    watched = {"identifier": name}
     with (
+        unused_node_name("identifier", space, environment) as name,
         NodeProcess(
             "identifier",
             parameters,
@@ -141,6 +134,13 @@ def live(
         ExitStack() as others,
     ):
         try:
+            if name != "identifier":
+                console.print(
+                    f"{space.rstrip('/')}/identifier is running already: this one is {name}; give "
+                    "--namespace if each robot has its topics in a namespace",
+                    **AS_IT_IS,
+                )
+            watched = {"identifier": name}
             shown = [identifier]
             if web:
                 started = start_page(page | watched, environment, logs, console, remapped)
