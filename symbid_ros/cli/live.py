@@ -85,7 +85,7 @@ def live(
 
     It starts the nodes identifier and monitor, and with --web also web_monitor, in the ROS domain
     of this terminal. If an identifier runs there already, this one gets another name, which is
-    printed.
+    printed. Sensor errors, also imu_bias, are identified only if --sensor-errors names them.
 
     Exit status: 0 ended, 1 ended with alarms (do not trust the numbers yet), 2 no estimate.
     """
