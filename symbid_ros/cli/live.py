@@ -111,7 +111,7 @@ def live(
     given = given_parameters(options, log)
     parameters = common | given | {"mode": "online", "memory": memory, "save_time": SAVE_TIME}
     if out is not None:
-        parameters["out"] = str(out.resolve())
+        parameters |= {"out": str(out.resolve()), "overwrite": overwrite}
     shared = {name: given[name] for name in SHARED_WITH_PAGE if name in given}
     page = common | shared | {"host": host, "port": port}
     environment = dict(os.environ)
