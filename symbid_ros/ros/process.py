@@ -2,7 +2,9 @@
 
 import argparse
 import os
+import shutil
 import sys
+import textwrap
 import threading
 from collections import Counter
 from collections.abc import Callable, Coroutine, MutableMapping, Sequence
@@ -31,6 +33,7 @@ from symbid_ros.shutdown import interruptible, stop_on_signals
 FAILURE = 2  # exit status
 RULE = "parameter override rule"  # what rcl cannot parse after -p
 WARNING_PERIOD = 5.0  # s between two warnings
+NARROWEST = 40  # columns of the text of --help
 PROFILE, TRANSPORTS = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"
 RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 OLD_RANGE = "ROS_LOCALHOST_ONLY"  # deprecated; "1" overrides the others
@@ -147,7 +150,19 @@ def _parse_arguments(
     name: str, purpose: str, parameters: Sequence[Parameter], arguments: Sequence[str]
 ) -> None:
     """Answer ``--help`` and exit on unknown arguments, which rcl would silently ignore."""
-    lines = [f"  {each.name} ({each.default!r}): {each.description}" for each in parameters]
+    width = max(shutil.get_terminal_size().columns, NARROWEST)
+    lines = [
+        textwrap.fill(
+            f"{each.name} ({each.default!r}): {each.description}",
+            width,
+            initial_indent=" " * 2,
+            subsequent_indent=" " * 6,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        for each in parameters
+    ]
+    purpose = textwrap.fill(purpose, width)
     argparse.ArgumentParser(
         prog=name,
         usage=f"{name} [--ros-args -p PARAMETER:=VALUE ...]",

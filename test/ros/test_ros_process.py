@@ -73,11 +73,15 @@ def answer(monkeypatch, capsys) -> Iterator[Callable[..., tuple[int, str, str]]]
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_help_lists_every_parameter(answer, name: str) -> None:
+def test_help_lists_every_parameter_within_the_terminal(answer, monkeypatch, name: str) -> None:
+    monkeypatch.setenv("COLUMNS", "70")
     status, out, err = answer(name, "--help")
     assert (status, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 70
+    words = " ".join(out.split())
     for parameter in NODES[name]:
-        assert f"{parameter.name} ({parameter.default!r}): {parameter.description}" in out
+        text = f"{parameter.name} ({parameter.default!r}): {parameter.description}"
+        assert " ".join(text.split()) in words
 
 
 @pytest.mark.parametrize("name", NODES)
