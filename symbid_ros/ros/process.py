@@ -31,7 +31,8 @@ from symbid_ros.ros.unknown_parameters import require_known_parameters
 from symbid_ros.shutdown import interruptible, stop_on_signals
 
 FAILURE = 2  # exit status
-RULE = "parameter override rule"  # what rcl cannot parse after -p
+# What rcl cannot parse: a value after -p, and a line of a parameter file.
+UNPARSED = "parameter override rule", "parsing a event"
 WARNING_PERIOD = 5.0  # s between two warnings
 NARROWEST = 40  # columns of the text of --help
 PROFILE, TRANSPORTS = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"
@@ -126,7 +127,8 @@ def run_node(name: str, work: Work, *, purpose: str, parameters: Sequence[Parame
         # rcl reports malformed --ros-args and parameter files as RuntimeError.
         if not _is_argument_error(error):
             raise
-        quotes = "quote list entries with colons, and " if RULE in str(error) else ""
+        is_unparsed = any(each in str(error) for each in UNPARSED)
+        quotes = "quote list entries with colons, and " if is_unparsed else ""
         text = " ".join(str(error).split())
         print(f"{name}: {text}; {quotes}check --ros-args", file=sys.stderr)
         return FAILURE
