@@ -140,7 +140,7 @@ def require_no_files(folder: Path, names: Collection[str], *, overwrite: bool) -
     present = [name for name in names if (folder / name).exists()]
     if present and not overwrite:
         raise SymbidError(
-            f"{folder}: holds an earlier {present[0]}; choose another --out, or give --overwrite "
+            f"{folder}: holds an earlier {present[0]}; choose another `out`, or give `overwrite` "
             "to replace it",
             "E551",
         )

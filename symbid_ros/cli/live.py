@@ -85,7 +85,7 @@ def live(
 
     It starts the nodes identifier and monitor, and with --web also web_monitor, in the ROS domain
     of this terminal. If an identifier runs there already, this one gets another name, which is
-    printed.
+    printed. Sensor errors, also imu_bias, are identified only if --sensor-errors names them.
 
     Exit status: 0 ended, 1 ended with alarms (do not trust the numbers yet), 2 no estimate.
     """
@@ -111,7 +111,7 @@ def live(
     given = given_parameters(options, log)
     parameters = common | given | {"mode": "online", "memory": memory, "save_time": SAVE_TIME}
     if out is not None:
-        parameters["out"] = str(out.resolve())
+        parameters |= {"out": str(out.resolve()), "overwrite": overwrite}
     shared = {name: given[name] for name in SHARED_WITH_PAGE if name in given}
     page = common | shared | {"host": host, "port": port}
     environment = dict(os.environ)
@@ -120,16 +120,9 @@ def live(
         f"preparing: starting the nodes; their logs are in {logs}, which is kept after an error",
         **AS_IT_IS,
     )
-    name = unused_node_name("identifier", space, environment)
-    if name != "identifier":
-        console.print(
-            f"{space.rstrip('/')}/identifier is running already: this one is {name}; give "
-            "--namespace if each robot has its topics in a namespace",
-            **AS_IT_IS,
-        )
     remapped = {"__ns": space}
-    watched = {"identifier": name}
     with (
+        unused_node_name("identifier", space, environment) as name,
         NodeProcess(
             "identifier",
             parameters,
@@ -141,6 +134,13 @@ def live(
         ExitStack() as others,
     ):
         try:
+            if name != "identifier":
+                console.print(
+                    f"{space.rstrip('/')}/identifier is running already: this one is {name}; give "
+                    "--namespace if each robot has its topics in a namespace",
+                    **AS_IT_IS,
+                )
+            watched = {"identifier": name}
             shown = [identifier]
             if web:
                 started = start_page(page | watched, environment, logs, console, remapped)

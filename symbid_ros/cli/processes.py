@@ -1,5 +1,7 @@
 """ROS nodes as child processes, in a ROS domain of their own."""
 
+import errno
+import hashlib
 import json
 import os
 import random
@@ -10,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -210,11 +213,28 @@ class NodeProcess:
         return SymbidError(f"{self.name} failed: {reason} (see {self.log})", "E553")
 
 
-def unused_node_name(name: str, namespace: str, environment: Mapping[str, str]) -> str:
-    """Return the name, or a variant of it if a node in the namespace has it already.
+@contextmanager
+def unused_node_name(name: str, namespace: str, environment: Mapping[str, str]) -> Iterator[str]:
+    """Yield the name, or a variant of it if a node in the namespace has it already.
 
-    The name itself is returned if nodes cannot be started; the node then reports why.
+    Other callers of this function on the machine get other names during the block, because a
+    node appears in the ROS graph only seconds after its start.
     """
+    used = _node_names(name, namespace, environment)
+    domain = environment.get("ROS_DOMAIN_ID") or "0"
+    for number in count(1):
+        variant = f"{name}_{number}" if number > 1 else name
+        if variant in used:
+            continue
+        reservation = _reserve_name(f"{domain} {namespace} {variant}")
+        if reservation is not None:
+            with closing(reservation):
+                yield variant
+            return
+
+
+def _node_names(name: str, namespace: str, environment: Mapping[str, str]) -> set[str]:
+    """Return the names of running nodes; empty if nodes cannot be started, which say why."""
     found = subprocess.run(
         [sys.executable, "-m", "symbid_ros.ros.node_names", name, namespace],
         check=False,
@@ -222,7 +242,24 @@ def unused_node_name(name: str, namespace: str, environment: Mapping[str, str]) 
         capture_output=True,
         text=True,
     )
-    return found.stdout.strip() or name
+    return set(found.stdout.split())
+
+
+def _reserve_name(text: str) -> socket.socket | None:
+    """Return a socket that reserves a text on this machine, or None if it is reserved already.
+
+    The socket has no file: Linux removes it with its process, also if that is killed.
+    """
+    reservation = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        # The name of a socket has at most 107 characters.
+        reservation.bind("\0symbid_ros " + hashlib.sha256(text.encode()).hexdigest())
+    except OSError as error:
+        reservation.close()
+        if error.errno != errno.EADDRINUSE:
+            raise
+        return None
+    return reservation
 
 
 DOMAINS = range(1, 102)  # higher domains use the ephemeral ports of Linux

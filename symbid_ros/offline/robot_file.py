@@ -26,6 +26,7 @@ OF_THE_NODE = (
     "memory",
     "mode",
     "out",
+    "overwrite",
     "queue_depth",
     "resume",
     "robot_description",

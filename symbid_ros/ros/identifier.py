@@ -13,10 +13,16 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from threadpoolctl import threadpool_limits
 
+from symbid_ros.atomic_write import require_no_files
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.provenance import command_line
 from symbid_ros.identification.pipeline import identify_problem
-from symbid_ros.identification.result_files import export_urdf, write_identification
+from symbid_ros.identification.result_files import (
+    CALIBRATED,
+    RESULT_FILES,
+    export_urdf,
+    write_identification,
+)
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.ros.endpoints import latched_qos
@@ -129,6 +135,8 @@ def identify_bags(node: Node, values: dict[str, Any], stop: Event) -> None:
 
 def identify(node: Node, values: dict[str, Any], stop: Event) -> None:
     """Identify from the bags or topics that the parameters name, until stopped."""
+    if (out := given_path(values["out"])) is not None:
+        require_no_files(out, (*RESULT_FILES, *CALIBRATED), overwrite=values["overwrite"])
     with model_file(node, values, stop) as complete:
         if complete is None:
             return

@@ -14,6 +14,7 @@ from symbid_ros.online.estimate import OnlineEstimate
 from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.online.live_streams import LiveStreams, TopicBuffer
 from symbid_ros.online.message_check import MessageCheck
+from symbid_ros.report.formatting import counted
 from symbid_ros.ros.estimate_topics import estimate_status
 from symbid_ros.ros.monitor_messages import DISABLED, TOO_EARLY_TO_FIT
 from symbid_ros.ros.reporting import ERROR, OK, WARN, NodeStatus
@@ -98,9 +99,11 @@ class StreamMonitor:
 
 def _stamp_fault(buffer: TopicBuffer, last: _Counts, clock: int | None) -> str:
     """Return the fault of new stamps; ``clock``, ns, is given if they are from another time."""
-    if buffer.unstamped > last.unstamped:
+    unstamped = buffer.unstamped - last.unstamped
+    # A single one among others is where a simulation or a looping bag starts again at zero.
+    if unstamped > 1 or 0 < unstamped == buffer.received - last.received:
         return (
-            f"header.stamp is zero in {buffer.unstamped} messages, which are ignored; make the "
+            f"header.stamp is zero in {counted(buffer.unstamped, 'message')}, ignored; make the "
             "driver set the stamp (with use_sim_time it needs /clock)"
         )
     if clock is not None:

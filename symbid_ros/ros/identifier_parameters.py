@@ -34,6 +34,7 @@ PARAMETERS = (
     Parameter("imu_topics", [""], "Deprecated name of imu_topic."),
     Parameter("wrench_topics", [""], "Deprecated name of wrench_topic."),
     Parameter("out", "", "Folder for the estimate and the models; empty: none are written."),
+    Parameter("overwrite", False, "Replace the result of an earlier run in out."),
     Parameter(
         "solve_period",
         1.0,

@@ -1,10 +1,8 @@
-"""Prints a node name that no node of the ROS domain has, for commands that start nodes."""
+"""Prints the names of nodes in a namespace, for commands that start nodes."""
 
 import os
 import sys
 import time
-from collections.abc import Collection
-from itertools import count
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
@@ -17,12 +15,6 @@ BUSY_DISCOVERY = 7.0  # s
 POLL = 0.05  # s
 
 
-def unused_name(name: str, used: Collection[str]) -> str:
-    """Return a name, with a number behind it if it is in use."""
-    names = (f"{name}_{number}" if number > 1 else name for number in count(1))
-    return next(each for each in names if each not in used)
-
-
 def discovery_time() -> float:
     """Return the time until running nodes are known, s; it is longer on a busy machine."""
     is_busy = os.getloadavg()[0] > (os.cpu_count() or 1)
@@ -30,14 +22,15 @@ def discovery_time() -> float:
 
 
 def main() -> int:
-    """Print an unused variant of a name in a namespace, both given as arguments.
+    """Print the names of nodes in a namespace, one a line.
 
-    A third argument replaces the time, s, for which a node of that name is looked for.
+    Arguments are the name of the node that is looked for, and the namespace. A third one replaces
+    the time, s, for which it is looked for.
     """
     name, namespace, *rest = sys.argv[1:]
     use_udp(os.environ, rclpy.get_rmw_implementation_identifier())
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node(f"_unused_name_{os.getpid()}")
+    node = rclpy.create_node(f"_node_names_{os.getpid()}")
     used: set[str] = set()
     deadline = time.monotonic() + (float(rest[0]) if rest else discovery_time())
     while time.monotonic() < deadline:
@@ -47,7 +40,7 @@ def main() -> int:
         time.sleep(POLL)
     node.destroy_node()
     rclpy.try_shutdown()
-    print(unused_name(name, used))
+    print("\n".join(sorted(used)))
     return 0
 
 

@@ -392,16 +392,19 @@ class OnlineIdentifier:
         if final is not None:
             alarms = self._alarms_of(final)
             summary["alarms"] = alarms
-            if not alarms and not self._live.can_tell_fit:
+            if not alarms and not self._is_judged(final):
                 warnings.append(TOO_EARLY_TO_FIT)
         summary |= {"warnings": warnings, "solves": self._solves}
         print(json.dumps(summary), flush=True)
 
     def _alarms_of(self, estimate: OnlineEstimate) -> tuple[str, ...]:
-        """Return the alarms of the verdict or, without one, those that are not too early."""
-        is_exact = estimate.found.estimate.verdict is not None
-        is_judged = is_exact or self._live.can_tell_fit or estimate.is_contradicted
+        """Return the alarms that are not too early."""
+        is_judged = self._is_judged(estimate) or estimate.is_contradicted
         return estimate.alarms if is_judged else ()
+
+    def _is_judged(self, estimate: OnlineEstimate) -> bool:
+        """Return whether it is known if the model explains the data: an exact estimate tells."""
+        return estimate.found.estimate.verdict is not None or self._live.can_tell_fit
 
     def _final_estimate(self) -> OnlineEstimate | None:
         """Return the estimate from all data, as exact as `save_time` allows.

@@ -2,7 +2,9 @@
 
 import argparse
 import os
+import shutil
 import sys
+import textwrap
 import threading
 from collections import Counter
 from collections.abc import Callable, Coroutine, MutableMapping, Sequence
@@ -29,8 +31,10 @@ from symbid_ros.ros.unknown_parameters import require_known_parameters
 from symbid_ros.shutdown import interruptible, stop_on_signals
 
 FAILURE = 2  # exit status
-RULE = "parameter override rule"  # what rcl cannot parse after -p
+# What rcl cannot parse: a value after -p, and a line of a parameter file.
+UNPARSED = "parameter override rule", "parsing a event"
 WARNING_PERIOD = 5.0  # s between two warnings
+NARROWEST = 40  # columns of the text of --help
 PROFILE, TRANSPORTS = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"
 RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 OLD_RANGE = "ROS_LOCALHOST_ONLY"  # deprecated; "1" overrides the others
@@ -123,7 +127,8 @@ def run_node(name: str, work: Work, *, purpose: str, parameters: Sequence[Parame
         # rcl reports malformed --ros-args and parameter files as RuntimeError.
         if not _is_argument_error(error):
             raise
-        quotes = "quote list entries with colons, and " if RULE in str(error) else ""
+        is_unparsed = any(each in str(error) for each in UNPARSED)
+        quotes = "quote list entries with colons, and " if is_unparsed else ""
         text = " ".join(str(error).split())
         print(f"{name}: {text}; {quotes}check --ros-args", file=sys.stderr)
         return FAILURE
@@ -147,7 +152,19 @@ def _parse_arguments(
     name: str, purpose: str, parameters: Sequence[Parameter], arguments: Sequence[str]
 ) -> None:
     """Answer ``--help`` and exit on unknown arguments, which rcl would silently ignore."""
-    lines = [f"  {each.name} ({each.default!r}): {each.description}" for each in parameters]
+    width = max(shutil.get_terminal_size().columns, NARROWEST)
+    lines = [
+        textwrap.fill(
+            f"{each.name} ({each.default!r}): {each.description}",
+            width,
+            initial_indent=" " * 2,
+            subsequent_indent=" " * 6,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        for each in parameters
+    ]
+    purpose = textwrap.fill(purpose, width)
     argparse.ArgumentParser(
         prog=name,
         usage=f"{name} [--ros-args -p PARAMETER:=VALUE ...]",

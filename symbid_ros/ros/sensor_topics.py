@@ -17,6 +17,7 @@ from symbid_ros.messages.topics import (
     Topic,
     TopicSelection,
     TopicSelector,
+    is_measured,
 )
 from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.tree import RobotModel
@@ -390,5 +391,5 @@ def _describe_missing(name: str, msgtype: str, parameter: str, graph: Graph) -> 
 
 
 def _others(msgtype: str, graph: Graph) -> str:
-    names = sorted(name for name, types in graph.items() if msgtype in types)
+    names = sorted(n for n, types in graph.items() if msgtype in types and is_measured(n))
     return f"topics of that type: {', '.join(names) or 'none'}"

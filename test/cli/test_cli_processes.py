@@ -3,13 +3,15 @@
 import os
 import signal
 import subprocess
+import sys
 
 import pytest
 import rclpy
 from expected_errors import raises_code
 from rclpy.context import Context
 
-from symbid_ros.cli.processes import NodeProcess, unused_domain
+from symbid_ros.cli import processes
+from symbid_ros.cli.processes import NodeProcess, unused_domain, unused_node_name
 from symbid_ros.errors import SymbidError
 
 
@@ -97,3 +99,41 @@ def test_a_signal_while_a_node_starts_leaves_no_process(tmp_path, monkeypatch) -
     (process,) = started
     assert process.returncode is not None
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.fixture
+def other_nodes(monkeypatch) -> set[str]:
+    """Names that the ROS graph shows, in place of a look for some seconds."""
+    names: set[str] = set()
+    monkeypatch.setattr(processes, "_node_names", lambda *_: names)
+    return names
+
+
+def test_two_nodes_that_start_together_get_different_names(other_nodes: set[str]) -> None:
+    """The first one is reserved before the graph shows it; another robot's is independent."""
+    with unused_node_name("identifier", "/", {}) as first:
+        with unused_node_name("identifier", "/", {"ROS_DOMAIN_ID": "0"}) as second:
+            assert (first, second) == ("identifier", "identifier_2")
+        for space, environment in (("/arm", {}), ("/", {"ROS_DOMAIN_ID": "7"})):
+            with unused_node_name("identifier", space, environment) as name:
+                assert name == "identifier"
+    other_nodes |= {"identifier", "monitor"}
+    with unused_node_name("identifier", "/", {}) as name:
+        assert name == "identifier_2"
+
+
+@pytest.mark.usefixtures("other_nodes")
+def test_the_name_of_a_killed_command_is_free_again() -> None:
+    code = (
+        "import sys, time; from symbid_ros.cli import processes; "
+        "processes._node_names = lambda *_: set()\n"
+        "with processes.unused_node_name('identifier', '/killed', {}) as name:\n"
+        "    print(name, flush=True); time.sleep(600)"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout.readline() == "identifier\n"
+        with unused_node_name("identifier", "/killed", {}) as name:
+            assert name == "identifier_2"
+        other.kill()
+    with unused_node_name("identifier", "/killed", {}) as name:
+        assert name == "identifier"

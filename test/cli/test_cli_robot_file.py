@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 import yaml
 from arm_log import arm_streams, without_load
 from bag_editing import Messages, edit_bag
@@ -13,6 +14,8 @@ from documented_robots import ur5_urdf
 from foreign_bags import joint_state, joints_only
 from hypothesis import given
 from hypothesis import strategies as st
+from rclpy.context import Context
+from rclpy.node import Node
 from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
@@ -370,6 +373,25 @@ def test_every_parameter_of_the_node_may_be_in_a_robot_file() -> None:
     others = {one.name for one in PARAMETERS} - options - {"model", "base"}
     assert set(OF_THE_NODE) == others | {"use_sim_time"}
     assert set(DESCRIPTIONS) == set(EXAMPLES) <= options
+
+
+def test_ros_reads_every_example_of_a_robot_file(domain: int, tmp_path) -> None:
+    """Its parser refuses some plain texts in lists that other parsers of YAML accept."""
+    file = tmp_path / "robot.yaml"
+    lines = [f"    {name}: {value}" for name, value in EXAMPLES.items()]
+    file.write_text("\n".join(["/**:", "  ros__parameters:", *lines, ""]))
+    context = Context()
+    arguments = ["--ros-args", "--params-file", str(file)]
+    rclpy.init(args=arguments, context=context, domain_id=domain)
+    node = Node("reader", context=context, automatically_declare_parameters_from_overrides=True)
+    try:
+        for name, value in EXAMPLES.items():
+            read = node.get_parameter(name).value
+            expected = yaml.safe_load(value)
+            assert (list(read) if isinstance(expected, list) else read) == expected
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
 
 
 def test_an_arm_whose_log_lacks_joints_and_names_others(simulated, tmp_path) -> None:

@@ -223,3 +223,37 @@ def test_an_invalid_parameter_is_refused(graph, tmp_path: Path, parameters, says
     assert ended.err.count("\n") == 1, ended.err
     assert says in ended.err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("mode", ["online", "offline"])
+def test_an_earlier_result_is_refused_at_the_start(graph, tmp_path: Path, mode: str) -> None:
+    (tmp_path / "estimate.json").write_text("earlier")
+    given = {"bag": tmp_path / "bag"} if mode == "offline" else {}
+    identifier = graph.start(
+        "identifier", model=config_file("symbitron.xml"), out=tmp_path, mode=mode, **given
+    )
+    ended = identifier.ended()
+    assert ended.status == 2
+    assert ended.err.count("\n") == 1, ended.err
+    assert "holds an earlier estimate.json; choose another `out`, or give `overwrite`" in ended.err
+    assert (tmp_path / "estimate.json").read_text() == "earlier"
+
+
+def test_an_earlier_result_is_replaced_if_wanted(graph, simulated, tmp_path: Path) -> None:
+    (tmp_path / "estimate.json").write_text("earlier")
+    identifier = graph.start(
+        "identifier",
+        model=config_file("symbitron.xml"),
+        bag=simulated("smooth", moves=1, motion_seed=21, noise_seed=5),
+        out=tmp_path,
+        overwrite=True,
+        method="map",
+    )
+    received: list[DiagnosticArray] = []
+    graph.node.create_subscription(
+        DiagnosticArray, "/identifier/estimate", received.append, LATCHED
+    )
+    graph.wait_until(lambda: received)
+    identifier.send(signal.SIGINT)
+    assert identifier.ended().status == 0
+    assert json.loads((tmp_path / "estimate.json").read_text())["method"] == "map"

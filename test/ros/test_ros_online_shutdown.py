@@ -114,7 +114,9 @@ def test_a_longer_save_time_allows_an_exact_estimate(fed: OnlineIdentifier, caps
     fed.run(stopped())
     summary = json.loads(capsys.readouterr().out)
     assert not any("save_time" in one for one in summary["warnings"])
-    assert (summary["alarms"], summary["warnings"][-1]) == ([], TOO_EARLY_TO_FIT)
+    # It has the verdict of an offline run, which is never too early.
+    assert summary["alarms"] == []
+    assert TOO_EARLY_TO_FIT not in summary["warnings"]
 
 
 def test_a_choice_that_makes_one_estimate_slow_leaves_the_end_exact(

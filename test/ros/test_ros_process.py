@@ -73,11 +73,15 @@ def answer(monkeypatch, capsys) -> Iterator[Callable[..., tuple[int, str, str]]]
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_help_lists_every_parameter(answer, name: str) -> None:
+def test_help_lists_every_parameter_within_the_terminal(answer, monkeypatch, name: str) -> None:
+    monkeypatch.setenv("COLUMNS", "70")
     status, out, err = answer(name, "--help")
     assert (status, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 70
+    words = " ".join(out.split())
     for parameter in NODES[name]:
-        assert f"{parameter.name} ({parameter.default!r}): {parameter.description}" in out
+        text = f"{parameter.name} ({parameter.default!r}): {parameter.description}"
+        assert " ".join(text.split()) in words
 
 
 @pytest.mark.parametrize("name", NODES)
@@ -119,8 +123,12 @@ def test_malformed_ros_arguments_end_without_traceback(arguments: tuple[str, ...
     assert "Traceback" not in ended.stderr
 
 
-def test_a_list_entry_with_a_colon_needs_quotes() -> None:
-    ended = run("identifier", "--ros-args", "-p", "contact:=[left_sole:point]")
+@pytest.mark.parametrize("is_in_file", [False, True])
+def test_a_list_entry_with_a_colon_needs_quotes(tmp_path: Path, is_in_file: bool) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    rename_joint: [j1:=R_haa]\n")
+    given = ("--params-file", file) if is_in_file else ("-p", "contact:=[left_sole:point]")
+    ended = run("identifier", "--ros-args", *map(str, given))
     assert ended.returncode == 2
     assert "; quote list entries with colons, and check --ros-args" in ended.stderr
 

@@ -22,6 +22,7 @@ from symbid_ros.messages.types import IMU, JOINT_STATE
 from symbid_ros.model.load import load_model
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.message_check import MessageCheck
+from symbid_ros.online.message_intake import MessageIntake
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros.identifier_diagnostics import StreamMonitor
 from symbid_ros.ros.identifier_parameters import PARAMETERS
@@ -136,6 +137,7 @@ GRAPH = {
     "/robot/joint_states": [JOINT_STATE],
     "/imu/data": [IMU],
     "/chatter": ["std_msgs/msg/String"],
+    "/identifier_2/effort_residual": [JOINT_STATE],  # of another identifier
 }
 
 
@@ -176,6 +178,7 @@ def test_messages_about_missing_topics_name_the_parameter(selection, found, floa
     assert set(missing) == set(says)
     for key, pattern in says.items():
         assert re.search(pattern, missing[key]), missing[key]
+        assert "residual" not in missing[key]
 
 
 def test_stamps_of_another_clock_differ_from_leftovers_of_a_jump() -> None:
@@ -200,8 +203,28 @@ def test_stamps_of_another_clock_differ_from_leftovers_of_a_jump() -> None:
     assert set(faults_after(100.3, 100.2)) == {"/imu"}  # the stamp does not advance
     assert "header.stamp is zero" in faults_after(100.4, 0.0)["/imu"]
     # A topic that falls silent keeps this fault, and loses it with valid stamps.
-    assert "header.stamp is zero in 1 messages" in faults.check(streams, checks)["/imu"]
+    assert "header.stamp is zero in 1 message, " in faults.check(streams, checks)["/imu"]
     assert faults_after(100.5, 100.5) == {}
+
+
+def test_a_log_that_starts_at_zero_and_loops_has_stamps() -> None:
+    joints = Topic("/joint_states", JOINT_STATE)
+    model = load_model(config_file("symbitron.xml"))
+    streams, faults = LiveStreams(SelectedTopics((joints,), (), ()), "live"), StreamMonitor()
+    intake = MessageIntake(streams.selected, model, streams, streams.restart)
+
+    def faults_after(*stamps: float) -> dict[str, str]:
+        for stamp in stamps:
+            intake._feed(joints, round(stamp * 1e9), b"")
+        return faults.check(streams, intake.checks)
+
+    assert faults_after(0.0, 1.0) == {}
+    for end in (0.5, 0.6, 0.7):  # the time at which the faults are looked for
+        assert faults_after(1.5, 2.0, 0.0, end) == {}
+    assert intake.clock_jumps == 3
+    assert (
+        "header.stamp is zero in 5 messages, " in faults_after(0.8, 0.0, 0.9, 0.0)["/joint_states"]
+    )
 
 
 def test_the_reason_why_all_messages_are_dropped_lasts_in_silence(
