@@ -20,6 +20,17 @@ def arm(seed=3, links=4):
     return random_robot(seed, links=links, floating=False, wrench_frames=0)
 
 
+def heavy_arm(seed=2, tilt=4e-9):
+    """Return an arm of tonnes whose first axis is vertical up to rounding of a model's angles."""
+    robot = arm(seed)
+    first = robot.joints[0]
+    axis = first.rotation @ first.axis
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    robot = robot.with_phi(1e3 * robot.phi)
+    joints = tuple(replace(one, effort=np.inf) for one in robot.joints)
+    return replace(robot, joints=joints, gravity=-9.81 * (axis + tilt * across))
+
+
 def drives(robot, **terms):
     """Return the robot's parameters with the same values of some terms at every joint."""
     joints = tuple(
