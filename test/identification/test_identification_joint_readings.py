@@ -4,12 +4,11 @@ import re
 
 import numpy as np
 import pytest
-from drive_logs import NOISE, RATE, SECONDS, arm, drives, log_of, samples_of, slow_waves
+from drive_logs import SECONDS, arm, drives, log_of, stroke_and_rest
 from expected_errors import raises_code
 
 import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Kind
-from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.identification.joint_alarms import with_explained_alarms
 from symbid_ros.identification.joint_readings import JointReadings, find_readings
 from symbid_ros.identification.loaded_problem import load_problem
@@ -113,24 +112,12 @@ def test_an_alarm_gives_options_that_can_be_given() -> None:
 
 @pytest.mark.parametrize(("seed", "joint"), [(4, 0), (6, 0), (6, 1), (6, 2)])
 def test_a_joint_that_sticks_after_one_stroke_does_not_show_its_sign(seed, joint) -> None:
-    """A stop that the model lacks pushes it back while its drive resists, and then it sticks."""
-    robot, rng = arm(seed=seed, links=5), np.random.default_rng(seed)
-    time = np.arange(0.0, 8.0, 1 / RATE)
-    motion = slow_waves(rng, time, len(robot.joints), 1.2, slowdown=1.0)
-    x, speed = np.clip((time - 0.5) / 0.6, 0.0, 1.0), 1 / 0.6
-    motion[0][:, joint] = 0.3 * (10 * x**3 - 15 * x**4 + 6 * x**5)
-    motion[1][:, joint] = 0.3 * speed * (30 * x**2 - 60 * x**3 + 30 * x**4)
-    motion[2][:, joint] = 0.3 * speed**2 * (60 * x - 180 * x**2 + 120 * x**3)
-    truth = drives(robot, viscous=0.4, coulomb=0.8)
-    rows = equation_of_motion(truth, samples_of(robot, time, *motion))
-    effort = rows.K @ truth.values - rows.y
-    effort[:, joint] -= 10.0 * (1 - motion[0][:, joint] / 0.3)
-    static = np.tanh(np.cumsum(rng.normal(size=len(time))) / np.sqrt(RATE))
-    effort[:, joint] += np.where(motion[1][:, joint] == 0, 0.8 * static, 0.0)
-    effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
+    """A spring that the model lacks pushes it while its drive resists, and then it sticks."""
+    robot = arm(seed=seed, links=5)
+    time, position, effort = stroke_and_rest(robot, joint, seed, stop=10.0)
 
     def readings(signs):
-        read = {"time": time, "position": motion[0], "effort": signs * effort}
+        read = {"time": time, "position": position, "effort": signs * effort}
         return found_in(robot, sy.Log.from_arrays(robot, **read))
 
     assert readings(np.ones(4)) is None

@@ -106,3 +106,27 @@ def log_of(
     effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
     position = motion[0] + 1e-6 * rng.normal(size=effort.shape)
     return sy.Log.from_arrays(robot, time=start + time, position=position, effort=effort)
+
+
+def stroke_and_rest(robot, joint, seed=0, seconds=8.0, *, lasts=0.6, stop=0.0):
+    """Return time, positions and efforts of an arm of which one joint sticks after one stroke.
+
+    The stroke of 0.3 rad ``lasts`` some seconds. A spring that the model lacks pushes the joint
+    with ``stop``, Nm, where the stroke begins. Static friction takes any value while the joint
+    sticks.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 1 / RATE)
+    position, velocity, acceleration = slow_waves(rng, time, len(robot.joints), 1.2, slowdown=1.0)
+    x, speed = np.clip((time - 0.5) / lasts, 0.0, 1.0), 1 / lasts
+    position[:, joint] = 0.3 * (10 * x**3 - 15 * x**4 + 6 * x**5)
+    velocity[:, joint] = 0.3 * speed * (30 * x**2 - 60 * x**3 + 30 * x**4)
+    acceleration[:, joint] = 0.3 * speed**2 * (60 * x - 180 * x**2 + 120 * x**3)
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    rows = equation_of_motion(truth, samples_of(robot, time, position, velocity, acceleration))
+    effort = rows.K @ truth.values - rows.y
+    effort[:, joint] -= stop * (1 - position[:, joint] / 0.3)
+    static = np.tanh(np.cumsum(rng.normal(size=len(time))) / np.sqrt(RATE))
+    effort[:, joint] += np.where(velocity[:, joint] == 0, 0.8 * static, 0.0)
+    effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
+    return time, position, effort
