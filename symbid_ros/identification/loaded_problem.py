@@ -239,7 +239,8 @@ def load_problem(
     inputs = tuple(map(str, (*log.files, robot.source, *options.files)))
     setup = ProblemSetup(options, prior, inputs, tares, checks)
     parameters, dataset, solved = setup.with_found_terms(parameters, dataset)
-    if options.finds_compliance and shows_compliance(solved, dataset):
+    finds_compliance = options.finds_compliance and not checks.has_unsigned_efforts
+    if finds_compliance and shows_compliance(solved, dataset):
         options = replace(options, sensor_errors=(COMPLIANCE,))
         solved = replace(setup, options=options).solve(parameters, dataset)
     return LoadedProblem(

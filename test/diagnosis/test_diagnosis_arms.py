@@ -158,9 +158,8 @@ def test_magnitudes_are_not_taken_for_wrong_signs(ur5, sign) -> None:
     found = sy.diagnose(ur5, log).findings
     assert has_unsigned_efforts(found)
     assert not {one.kind for one in found} & {*OF_SIGNED_EFFORTS}
-    alarms = sy.identify(ur5, log, no_holdout=True).alarms
-    assert any("as if it were a magnitude" in one for one in alarms)
-    assert not any("opposite sign" in one for one in alarms)
+    (alarm,) = sy.identify(ur5, log).alarms  # others would only repeat it
+    assert "as if it were a magnitude" in alarm
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
