@@ -1,4 +1,4 @@
-"""Public logs of robots that laboratories built, or measured, themselves."""
+"""Public logs of robots that laboratories built, measured or simulated themselves."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -45,7 +45,7 @@ def airbot(files: Sequence[Path]) -> RealLog:
 
 
 def solo12(files: Sequence[Path]) -> RealLog:
-    """Read a trotting Solo 12 at 100 Hz.
+    """Read a simulated, trotting Solo 12 at 100 Hz.
 
     Nothing measures where its feet touch the ground. The log has no IMU either, so its readings are
     computed from the pose of the base.
@@ -119,7 +119,7 @@ LABORATORY_DATA = {
         "The repository publishes no held-out error for this run.",
     ),
     "solo12": RealData(
-        "Solo 12, 12 joints, trot, no sensors in the feet, 100 Hz, 20 s",
+        "Solo 12, simulated, 12 joints, trot, no sensors in the feet, 100 Hz, 20 s",
         "https://github.com/ShahramKhorshidi/system_identification commit 519ca70",
         "no licence stated",
         {
@@ -130,6 +130,6 @@ LABORATORY_DATA = {
             "urdf/solo12.urdf": "430f8e786870fecb508af01b4dae125f0f9ce13f3d15b2da55de4062a65d3515",
         },
         solo12,
-        "The repository does not say whether the robot is simulated.",
+        "The commit says that the data are simulated.",
     ),
 }

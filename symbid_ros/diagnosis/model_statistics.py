@@ -244,6 +244,16 @@ class ModelStatistics:
         ]
 
     @property
+    def moving_shares(self) -> FloatArray:
+        """Share of the time (d,) in which each driven joint moves."""
+        first = self.model.dof - len(self.model.joints)
+        columns = self.parameters.term_columns["coulomb"]
+        found = np.zeros(len(self.model.joints))
+        for column, joint in enumerate(self.parameters.joints.tolist(), start=columns.start):
+            found[joint] = self.rows.column_squares(first + joint, column)
+        return found[[*self.gains.driven]]
+
+    @property
     def wrench_noise(self) -> tuple[float, float]:
         """White noise of the noisiest wrench sensor: of its torque, Nm, and of its force, N."""
         noise = np.sqrt(self._noise_square / max(self._samples, 1))

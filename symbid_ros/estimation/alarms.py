@@ -25,6 +25,14 @@ SUSPICIOUS_GROWTH = 1.4
 SUSPICIOUS_ZERO = 5.0
 # Largest share of a direction's apparent information that may be noise in the regressor.
 SUSPICIOUS_NOISE = 0.5
+# What a weighing shows that contradicts the data.
+WRONG_MASS = (
+    "the weighing or a gain of the forces is wrong, or a support without a sensor carries weight"
+)
+IMPOSSIBLE_MASS = (
+    "no mass is negative, so the forces have the wrong sign, or the log does not tell the mass "
+    "from errors of the model and constant torques of the joints: record more varied postures"
+)
 
 
 class Alarm(StrEnum):
@@ -121,8 +129,8 @@ def alarms(
         found.append(
             f"the weighing of {weighing.weighed:.2f} ± {weighing.weighed_std:.2g} kg "
             f"{Alarm.WEIGHING} {weighing.implied:.2f} ± {weighing.implied_std:.2g} kg "
-            f"({abs(weighing.deviations):.0f} standard deviations): the weighing or a gain of the "
-            "forces is wrong, or a support without a sensor carries weight"
+            f"({abs(weighing.deviations):.0f} standard deviations): "
+            f"{IMPOSSIBLE_MASS if weighing.implied < 0 else WRONG_MASS}"
         )
     if is_coloured(whiteness, unexplained):
         found.append(coloured_alarm(whiteness, unexplained))

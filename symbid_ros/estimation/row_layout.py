@@ -55,8 +55,10 @@ class RowLayout:
             state = None if touching is None else np.tile(touching, (len(samples), 1))
             rows = equation_of_motion(parameters, replace(samples, touching=state))
             K = np.maximum(K, np.abs(rows.K).max(axis=0))
-        # Structural zeros still contain rounding, relative to their column or row.
-        structure = 1e-10 * np.maximum(K.max(axis=0), K.max(axis=1, keepdims=True)) < K
+        # Structural zeros still contain rounding, relative to their column or row. Joint terms do
+        # not count in the row, so that a column's structure is the same beside any of them.
+        by_links = K[:, : parameters.inertial].max(axis=1, keepdims=True, initial=0.0)
+        structure = 1e-10 * np.maximum(K.max(axis=0), by_links) < K
         return cls(model.coordinates, parameters.names, structure, combined_coordinates(model))
 
     def extended(self, names: tuple[str, ...], structure: BoolArray) -> "RowLayout":

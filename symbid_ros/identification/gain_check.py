@@ -20,7 +20,6 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.effort_columns import EffortColumns
 from symbid_ros.estimation.estimate import HoldOut
-from symbid_ros.identification.calibration import error_layout
 from symbid_ros.identification.drive_gains import named_joints
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
@@ -263,7 +262,9 @@ def _factors_beside(
     problem, phi = solved.problem, solved.posterior.mean
     parameters = problem.parameters
     errors = SensorErrors.of((DRIVE_GAIN,), parameters.model, (), (), joints)
-    rows = EffortColumns(error_layout(parameters, errors), len(joints)).beside(solved.chosen, phi)
+    plain = solved.chosen.rows.layout
+    layout = plain.extended(errors.names, errors.structure(parameters.model))
+    rows = EffortColumns(layout, len(joints)).beside(solved.chosen, phi)
     ones = np.ones(len(joints))
     root = PLAUSIBLE * np.linalg.cholesky(correlation).astype(np.float64)
     prior = solved.posterior.prior.extended(errors.names, ones, PLAUSIBLE * ones, root)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.diagnosis.findings import OF_READINGS, Kind, has_unsigned_efforts
+from symbid_ros.diagnosis.findings import OF_READINGS, Kind
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.unexplained import force_text
 from symbid_ros.identification.identification import Identification
@@ -50,8 +50,9 @@ def with_explained_alarms(
     all, and those at rest whose effort is not predicted. If there is any alarm, the log is searched
     for joints that it exchanges or reverses. If there are any, that alarm comes first. Because
     their readings would distort other causes, none is tried, and findings of the checks that
-    depend on the readings are left out. ``has_known_units`` says whether the user gave all efforts
-    in the model's units; factors that the log itself shows do not excuse wrong signs.
+    depend on the readings are left out. If efforts lack their signs, alarms about the residuals
+    would only repeat that. ``has_known_units`` says whether the user gave all efforts in the
+    model's units; factors that the log itself shows do not excuse wrong signs.
     """
     if found.estimate.verdict is None:
         return found
@@ -59,11 +60,12 @@ def with_explained_alarms(
     resting = unpredicted_at_rest(problem.solved, dataset, found.estimate.residual_rmse)
     if model.floating:  # noise of wrenches adds to that of efforts
         return explained(problem, found, FROZEN if resting else "")
+    if problem.checks.has_unsigned_efforts:
+        return found.with_alarms(problem.checks.alarms)
     named = set[str]()
     unpredicted, unjudged = _unpredicted(problem, found)
     readings = None
-    is_signed = has_known_units and not has_unsigned_efforts(problem.checks.findings)
-    if (found.alarms or unpredicted or resting) and is_signed:
+    if (found.alarms or unpredicted or resting) and has_known_units:
         readings = find_readings(tuple(dataset.segments), model)
     lacks_inertia = any(one.kind is Kind.MISSING_INERTIA for one in problem.checks.findings)
     cause = MISSING_INERTIA if lacks_inertia else FROZEN if resting else ""

@@ -29,6 +29,10 @@ MOST_JOINTS = 20  # every pair is tried
 # Friction that gives a joint this share of the power of its effort shows a wrong sign, if the fit
 # leaves no more than that share of the effort. Friction of right logs of real robots gives .12.
 DRIVEN, MOST_OF_IT = 0.5, 0.5
+# Deviations by which that power must be negative. A joint that sticks slips in few rows, which
+# friction of either sign explains: that of a real quadruped is negative by .14 deviations at most,
+# and positive by 3 to 30 at joints that move for seconds.
+CERTAIN = 3.0
 # Efforts of so many joints and more are called those of all joints, if they are.
 FEWEST_OF_ALL = 3
 # Signs of position and effort that are tried for each joint.
@@ -197,7 +201,8 @@ def find_readings(segments: Iterable[Segment], robot: RobotModel) -> JointReadin
     found = None if explained else _likelier(log, rows, reversals)
     readings, best = found or (readings, first)
     for joint in () if has_wrenches else moving:
-        if best.power[joint] < -DRIVEN and best.shares[joint] < MOST_OF_IT:
+        is_driven = best.power[joint] < -max(DRIVEN, CERTAIN * best.power_std[joint])
+        if is_driven and best.shares[joint] < MOST_OF_IT:
             readings = readings.with_reversed(joint, 1.0, -1.0)
     readings = replace(readings, unexplained=best.unexplained)
     return readings if readings.changed else None

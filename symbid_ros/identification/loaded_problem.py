@@ -245,7 +245,8 @@ def load_problem(
         if biases_explain(found, solved, dataset):
             options, setup, solved = biased.options, biased, found
     parameters, dataset, solved = setup.with_found_terms(parameters, dataset, solved)
-    if options.finds_compliance and shows_compliance(solved, dataset):
+    finds_compliance = options.finds_compliance and not checks.has_unsigned_efforts
+    if finds_compliance and shows_compliance(solved, dataset):
         options = replace(options, sensor_errors=(COMPLIANCE,))
         solved = replace(setup, options=options).solve(parameters, dataset)
     return LoadedProblem(

@@ -84,6 +84,11 @@ class LogChecks:
         """Findings that bias an estimate, one line each."""
         return tuple(one.message for one in self.findings if one.kind in BIASING)
 
+    @property
+    def has_unsigned_efforts(self) -> bool:
+        """Whether efforts are said to be magnitudes."""
+        return has_unsigned_efforts(self.findings)
+
 
 NO_CHECKS = LogChecks()
 

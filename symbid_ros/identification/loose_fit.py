@@ -76,8 +76,9 @@ class LooseFit:
         Root mean square of the residuals over that of y.
     shares : (J,) float64
         The same for the efforts of each joint.
-    power : (J,) float64
-        What friction takes of each joint's power, over that of the effort.
+    power, power_std : (J,) float64
+        What friction takes of each joint's power, over that of the effort, and its standard
+        deviation.
     dissipates : bool
         Whether friction takes power.
     """
@@ -87,6 +88,7 @@ class LooseFit:
     unexplained: float
     shares: FloatArray
     power: FloatArray
+    power_std: FloatArray
     dissipates: bool
 
 
@@ -154,10 +156,13 @@ class LooseRows:
         H = scaled @ scaled.transpose(0, 2, 1)
         g = np.einsum("jpn,nj->jp", scaled, left, optimize=True)
         square = np.sum(left**2, axis=0)
+        by_friction, given = self._power
+        by_friction = std * np.pad(by_friction, ((0, 0), (0, len(std) - by_friction.shape[1])))
         deviation, x = self.read, np.zeros(len(std))
         for _ in range(PASSES):
             weight = deviation**-2
-            x = np.linalg.solve(np.tensordot(weight, H, axes=1) + np.eye(len(x)), weight @ g)
+            information = np.tensordot(weight, H, axes=1) + np.eye(len(x))
+            x = np.linalg.solve(information, weight @ g)
             square_left = square + (H @ x - 2 * g) @ x
             size = np.sqrt(np.maximum(square_left, 0.0) / count)
             deviation = np.maximum(size, LEAST_RESIDUAL * self.read)
@@ -165,19 +170,30 @@ class LooseRows:
         cost = float(count @ np.log(deviation) + x @ x / 2)
         share = float(np.linalg.norm(size) / np.linalg.norm(self.read))
         shares = (size / self.read)[6 * self.parameters.model.floating :]
-        taken, given = self._power(theta)
-        power = taken / np.maximum(given, 1e-300)
-        return LooseFit(theta, cost, share, shares, power, taken.sum() > -GIVEN * given.sum())
+        taken = by_friction @ (theta / std)
+        spread = by_friction @ np.linalg.solve(information, by_friction.T)
+        given = np.maximum(given, 1e-300)
+        return LooseFit(
+            theta,
+            cost,
+            share,
+            shares,
+            taken / given,
+            np.sqrt(spread.diagonal()) / given,
+            taken.sum() > -GIVEN * given.sum(),
+        )
 
-    def _power(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the sums (J,) of what friction takes, and of the sizes of the efforts' power."""
+    @cached_property
+    def _power(self) -> tuple[FloatArray, FloatArray]:
+        """Rows (J, p) of what friction takes, and sums (J,) of the sizes of the efforts' power."""
         columns = self.parameters.term_columns
-        viscous, coulomb = columns["viscous"].start, columns["coulomb"].start
-        taken, given = np.zeros((2, len(self.parameters.model.joints)))
+        joints = len(self.parameters.model.joints)
+        by_friction, given = np.zeros((joints, self.K.shape[2])), np.zeros(joints)
         for place, joint in enumerate(self._coordinates.tolist()):
             K, y = self.K[self.valid[:, joint], joint], self.y[self.valid[:, joint], joint]
-            rate, sign = K[:, viscous + place], K[:, coulomb + place]
-            friction = theta[viscous + place] * rate + theta[coulomb + place] * sign
+            own = [columns[term].start + place for term in ("viscous", "coulomb")]
+            rate = K[:, own[0]]
             at = joint - 6 * self.parameters.model.floating
-            taken[at], given[at] = friction @ rate, np.abs(y) @ np.abs(rate)
-        return taken, given
+            by_friction[at, own] = rate @ K[:, own]
+            given[at] = np.abs(y) @ np.abs(rate)
+        return by_friction, given

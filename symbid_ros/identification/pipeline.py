@@ -79,10 +79,13 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
             better = _with_kept_prior(problem, checked, log.begin)
             if better is not None:
                 problem, found, checked, forces = better
+    model = problem.columns.model
+    # Efforts without signs are predicted badly, and no factor corrects them.
+    is_signed = model.floating or not problem.checks.has_unsigned_efforts
     alarm = None
-    if checked is not None and checked.advice == "unfit":
+    if is_signed and checked is not None and checked.advice == "unfit":
         alarm = UNPREDICTED.format(checked.summary)
-    elif checked is not None:
+    elif is_signed and checked is not None:
         wrong = wrong_factors(problem, checked, lambda one: _tried(one, log.begin))
         if wrong is not None:
             alarm = wrong.alarm
@@ -90,10 +93,11 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
     found = with_explained_alarms(problem, found, has_known_units=has_known_units)
     found = problem.with_provenance(found)
     last = () if alarm is None else (alarm,)
-    model = problem.columns.model
+    if is_signed:
+        last = (*wrist_sensor_alarms(problem), *last)
     if not model.floating and motionless_joints(problem.dataset.samples.position, model).all():
         last = (*last, NO_MOTION)
-    found = found.with_alarms((*found.alarms, *wrist_sensor_alarms(problem), *last))
+    found = found.with_alarms((*found.alarms, *last))
     if forces is None:
         forces = _predict_end(problem, found, log.begin)
     found = replace(

@@ -85,8 +85,19 @@ def test_a_contradicted_weighing_is_an_alarm_with_its_numbers() -> None:
     (alarm,) = alarms_of(wrong.posterior(wrong.measurements), wrong.measurements)
     assert "3.30 ± 0.02 kg contradicts" in alarm
     assert "say 3.00 ±" in alarm
+    assert "the weighing or a gain of the forces is wrong" in alarm
     right = Case(2, weighed=3.0)
     assert alarms_of(right.posterior(right.measurements), right.measurements) == ()
+
+
+def test_data_that_imply_a_negative_mass_do_not_blame_the_weighing() -> None:
+    reversed_forces = Case(2, weighed=3.0)
+    reversed_forces.y *= -1
+    found = reversed_forces.posterior(reversed_forces.measurements)
+    (alarm,) = (one for one in alarms_of(found, reversed_forces.measurements) if "weighing" in one)
+    assert "say -3.0" in alarm
+    assert "no mass is negative, so the forces have the wrong sign" in alarm
+    assert "the weighing or a gain" not in alarm
 
 
 @pytest.mark.parametrize("weighed", [None, 3.0])

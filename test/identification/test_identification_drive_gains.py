@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drive_logs import arm, drives, log_of
+from drive_logs import arm, drives, heavy_arm, log_of
 
 import symbid_ros as sy
 from symbid_ros.errors import OptionError
@@ -210,6 +210,18 @@ def test_wrong_torque_constants_are_identified_with_an_alarm(robot, model, seed)
     assert not alarms
     assert not kept.estimate.verdict.sensors
     assert kept.estimate.holdout.percent_after > 3 * wrong.estimate.holdout.percent_after
+
+
+def test_rounded_angles_of_the_model_do_not_disturb_factors() -> None:
+    """The least entries of rows are near the limit below which they count as zero."""
+    robot = heavy_arm()
+    joint = robot.joint_names[1]
+    gain = np.array([1.0, 1 / 0.85, 1.0])
+    log = log_of(robot, drives(robot, viscous=400.0, coulomb=800.0), gain=gain)
+    model = robot.with_phi(robot.phi * np.array([0.75, 0.9, 1.2, 0.8])[:, None])
+    found = sy.identify(model, log)
+    assert any(f"{joint} reads 0.85 times the torque" in one for one in found.alarms)
+    np.testing.assert_allclose(factors(found), 1 / 0.85, rtol=3e-3)
 
 
 @pytest.mark.parametrize("gain", [(0.85, 1.1, 1.25), (1.2, 0.85, 1.0)])

@@ -2,8 +2,9 @@
 
 import re
 
+import numpy as np
 import pytest
-from drive_logs import SECONDS, arm, drives, log_of
+from drive_logs import SECONDS, arm, drives, log_of, stroke_and_rest
 from expected_errors import raises_code
 
 import symbid_ros as sy
@@ -107,3 +108,19 @@ def test_an_alarm_gives_options_that_can_be_given() -> None:
     assert given == readings.options
     mapping = SensorMapping.of(LogOptions(**given))
     assert mapping.effort_scale == {"b": -1.0, "d": -1.0}
+
+
+@pytest.mark.parametrize(("seed", "joint"), [(4, 0), (6, 0), (6, 1), (6, 2)])
+def test_a_joint_that_sticks_after_one_stroke_does_not_show_its_sign(seed, joint) -> None:
+    """A spring that the model lacks pushes it while its drive resists, and then it sticks."""
+    robot = arm(seed=seed, links=5)
+    time, position, effort = stroke_and_rest(robot, joint, seed, stop=10.0)
+
+    def readings(signs):
+        read = {"time": time, "position": position, "effort": signs * effort}
+        return found_in(robot, sy.Log.from_arrays(robot, **read))
+
+    assert readings(np.ones(4)) is None
+    for other in {0, 1, 2, 3} - {joint}:
+        found = readings(1 - 2 * np.eye(4)[other])
+        assert found.reversed_efforts == (robot.joint_names[other],)

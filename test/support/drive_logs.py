@@ -20,6 +20,17 @@ def arm(seed=3, links=4):
     return random_robot(seed, links=links, floating=False, wrench_frames=0)
 
 
+def heavy_arm(seed=2, tilt=4e-9):
+    """Return an arm of tonnes whose first axis is vertical up to rounding of a model's angles."""
+    robot = arm(seed)
+    first = robot.joints[0]
+    axis = first.rotation @ first.axis
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    robot = robot.with_phi(1e3 * robot.phi)
+    joints = tuple(replace(one, effort=np.inf) for one in robot.joints)
+    return replace(robot, joints=joints, gravity=-9.81 * (axis + tilt * across))
+
+
 def drives(robot, **terms):
     """Return the robot's parameters with the same values of some terms at every joint."""
     joints = tuple(
@@ -95,3 +106,27 @@ def log_of(
     effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
     position = motion[0] + 1e-6 * rng.normal(size=effort.shape)
     return sy.Log.from_arrays(robot, time=start + time, position=position, effort=effort)
+
+
+def stroke_and_rest(robot, joint, seed=0, seconds=8.0, *, lasts=0.6, stop=0.0):
+    """Return time, positions and efforts of an arm of which one joint sticks after one stroke.
+
+    The stroke of 0.3 rad ``lasts`` some seconds. A spring that the model lacks pushes the joint
+    with ``stop``, Nm, where the stroke begins. Static friction takes any value while the joint
+    sticks.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 1 / RATE)
+    position, velocity, acceleration = slow_waves(rng, time, len(robot.joints), 1.2, slowdown=1.0)
+    x, speed = np.clip((time - 0.5) / lasts, 0.0, 1.0), 1 / lasts
+    position[:, joint] = 0.3 * (10 * x**3 - 15 * x**4 + 6 * x**5)
+    velocity[:, joint] = 0.3 * speed * (30 * x**2 - 60 * x**3 + 30 * x**4)
+    acceleration[:, joint] = 0.3 * speed**2 * (60 * x - 180 * x**2 + 120 * x**3)
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    rows = equation_of_motion(truth, samples_of(robot, time, position, velocity, acceleration))
+    effort = rows.K @ truth.values - rows.y
+    effort[:, joint] -= stop * (1 - position[:, joint] / 0.3)
+    static = np.tanh(np.cumsum(rng.normal(size=len(time))) / np.sqrt(RATE))
+    effort[:, joint] += np.where(velocity[:, joint] == 0, 0.8 * static, 0.0)
+    effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
+    return time, position, effort
