@@ -44,7 +44,7 @@ from symbid_ros.identification.prior_options import (
 from symbid_ros.identification.problem import Truncation
 from symbid_ros.identification.problem_setup import ProblemSetup, first_factors
 from symbid_ros.identification.result_files import check_output
-from symbid_ros.identification.shown_errors import biases_explain, shows_compliance, shows_imu_bias
+from symbid_ros.identification.shown_errors import shows_compliance
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.stored_information import check_layout, columns_of, with_columns
 from symbid_ros.identification.tares import Tare, read_tare
@@ -53,7 +53,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload, with_payloads
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.sensor_errors import COMPLIANCE, IMU_BIAS
+from symbid_ros.signals.sensor_errors import COMPLIANCE
 
 logger = logging.getLogger(__name__)
 
@@ -238,12 +238,8 @@ def load_problem(
     tares = {frame: one for each in tare for frame, one in read_tare(each).items()}
     inputs = tuple(map(str, (*log.files, robot.source, *options.files)))
     setup = ProblemSetup(options, prior, inputs, tares, checks)
-    solved = setup.solve(parameters, dataset)
-    if options.finds_imu_bias and shows_imu_bias(solved, dataset):
-        biased = replace(setup, options=replace(options, sensor_errors=(IMU_BIAS,)))
-        found = biased.solve(parameters, dataset)
-        if biases_explain(found, solved, dataset):
-            options, setup, solved = biased.options, biased, found
+    setup, solved = setup.with_found_biases(parameters, dataset)
+    options = setup.options
     parameters, dataset, solved = setup.with_found_terms(parameters, dataset, solved)
     finds_compliance = options.finds_compliance and not checks.has_unsigned_efforts
     if finds_compliance and shows_compliance(solved, dataset):

@@ -34,6 +34,7 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prior_options import build_pseudo_measurements
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.ripples import find_ripples
+from symbid_ros.identification.shown_errors import biases_explain, shows_imu_bias
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.springs import find_springs
 from symbid_ros.identification.stored_information import merged_observations, with_columns
@@ -112,6 +113,18 @@ class ProblemSetup:
             problem = replace(problem, observations=both)
         gained = None if factors is None else dataset
         return _with_chosen_terms(problem, is_trial=is_trial, gained=gained)
+
+    def with_found_biases(
+        self, parameters: ParameterSet, dataset: Dataset
+    ) -> "tuple[ProblemSetup, SolvedProblem]":
+        """Solve a log, with biases of its IMUs if it shows them; return the setup that did."""
+        solved = self.solve(parameters, dataset)
+        if self.options.finds_imu_bias and shows_imu_bias(solved, dataset):
+            setup = replace(self, options=replace(self.options, sensor_errors=(IMU_BIAS,)))
+            biased = setup.solve(parameters, dataset)
+            if biases_explain(biased, solved, dataset):
+                return setup, biased
+        return self, solved
 
     def with_found_terms(
         self, parameters: ParameterSet, dataset: Dataset, solved: SolvedProblem
