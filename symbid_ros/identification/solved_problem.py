@@ -168,7 +168,7 @@ class SolvedProblem:
 
     @property
     def _scaled_parameters(self) -> BoolArray:
-        """(p,) which parameters' deviations contain that of the common gain."""
+        """(p,) which parameters' stated deviations contain that of the common gain."""
         parameters = self.problem.parameters
         is_scaled = np.ones(len(parameters), dtype=bool)
         if self.problem.force_scale_std is None:
@@ -229,8 +229,8 @@ class SolvedProblem:
         singular = np.linalg.svd(found.factor * found.prior.std, compute_uv=False)
         std, gain, change = found.std[:p], self._common_gain(), None
         if gain is not None:
-            change = np.where(self._scaled_parameters, gain.std * gain.direction[:p], 0.0)
-            std = np.hypot(std, change)
+            change = gain.std * gain.direction[:p]
+            std = np.hypot(std, np.where(self._scaled_parameters, change, 0.0))
         verdict = None
         if with_verdict:
             verdict = assess(

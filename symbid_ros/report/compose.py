@@ -131,9 +131,10 @@ def compose(
             shown.parameters,
             shown.estimate,
             shown.summary.posture if shown.summary.is_mean_posture else None,
-            deviation_factor=shown.deviation_factor,
+            deviation_factor=shown.deviations,
         ),
-        spread=parameter_spread(shown.estimate, shown.deviations, shown.prior_std),
+        # The gain that no residual shows would make nearly all pairs look correlated.
+        spread=parameter_spread(shown.estimate, shown.free_deviations, shown.prior_std),
         payloads=payloads(shown.estimate, shown.deviations),
     )
     if ground_truth is None:

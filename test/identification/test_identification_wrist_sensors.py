@@ -78,6 +78,20 @@ def test_payload_arm_and_offset_are_found_together(arm, true_arm, measured):
     assert {len(one.partition(".")[2]) for one in numbers} == {6}
 
 
+def test_a_gain_that_all_sensors_share_moves_no_centre_of_mass(arm, measured):
+    """A gain of 1 % changes the mass by 1 %, not the centre of mass by 1 % of its distance."""
+    log = log_of(arm, measured, measured.wrench)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
+    own = slice(*(found.estimate.names.index(f"{FRAME}/{name}") for name in ("m", "Ixx")))
+    phi, covariance = found.estimate.value[own], found.covariance[own, own]
+    slope = np.column_stack([-phi[1:] / phi[0], np.eye(3)]) / phi[0]
+    std = np.sqrt(np.diag(slope @ covariance @ slope.T))
+    error = phi[1:] / phi[0] - COM
+    assert np.all(np.abs(error) < 4 * std)
+    assert np.all(std < 0.1 * 0.01 * np.linalg.norm(COM))
+    assert found.parameters[f"{FRAME}/m"].std == pytest.approx(0.01 * MASS, rel=0.1)
+
+
 def test_terms_chosen_by_the_data_are_those_of_joints_only(arm, measured):
     log = log_of(arm, measured, measured.wrench)
     options = FAST | {"joint_terms": ("auto",)}
