@@ -187,12 +187,31 @@ def test_the_delay_of_a_sensor_is_estimated(arm, measured):
     assert errors["efforts/sensor_delay"] == pytest.approx(0, abs=3e-4)
 
 
+def check_changed_sensors(found, arm, measured):
+    """Another tare spares the links and the payload; a turned sign or another load do not."""
+    carried = measured.wrench - OFFSET
+    tare = np.array([-3.0, 2.5, -6.0, -0.1, 0.2, 0.05])
+    other = validate(found, log_of(arm, measured, measured.wrench + tare))
+    assert other.verdict.startswith(f"use it, but not its offset of {FRAME}: ")
+    (change,) = other.offsets
+    np.testing.assert_allclose(np.r_[change.force, change.moment], tare, atol=0.02)
+    assert other.is_recommended
+    assert other.coverage > 0.8
+    reversed_sign = validate(found, log_of(arm, measured, -measured.wrench))
+    assert reversed_sign.worse == (f"moment at {FRAME}", f"force at {FRAME}")
+    assert not reversed_sign.is_recommended
+    assert f" of the measured force at {FRAME}" in reversed_sign.verdict
+    heavier = validate(found, log_of(arm, measured, measured.wrench + 0.3 * carried))
+    assert not heavier.offsets
+
+
 def test_a_saved_result_predicts_the_sensor_and_merges(arm, measured, tmp_path):
     log = log_of(arm, measured, measured.wrench)
     found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
     found.save(tmp_path)
     again = validate(tmp_path, log)
     assert {one.name for one in again.coordinates} >= {f"{FRAME}/force_z", "elbow_joint"}
+    check_changed_sensors(found, arm, measured)
     written = load_model(tmp_path / "model.urdf", "fixed")
     np.testing.assert_allclose(written.phi, found.robot.phi, atol=1e-9)
     other = identify(arm, found.information, wrist_sensor=(FRAME,), joint_terms=("none",))
