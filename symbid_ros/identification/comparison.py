@@ -15,6 +15,8 @@ from symbid_ros.identification.result import Result
 from symbid_ros.identification.validation import assess, predictor_of
 from symbid_ros.identification.validation_result import Validation
 from symbid_ros.json_documents import versioned
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.wrist_sensors import sensor_names
 from symbid_ros.signals.log import Log
 
 WINDOW = 0.161  # s; for comparisons of results without windows
@@ -77,9 +79,9 @@ def compare(
     for predictor in predictors:
         model = predictor.parameters.model
         if model.coordinates != first.parameters.model.coordinates:
+            difference = describe_difference(model, first.parameters.model)
             raise EstimateError(
-                f"{predictor.name}: its joints are not those of {first.name}; compare results of "
-                "one robot",
+                f"{predictor.name}: its {difference} of {first.name}; compare results of one robot",
                 "E512",
             )
         alike = predictor if has_equal_rows else predictor.over_windows(window)
@@ -105,6 +107,17 @@ def compare(
     verdict, chosen = _ranking_verdict(ranking[:2], [data[index] for index in order[:2]])
     recommended = None if chosen is None else chosen.result
     return Comparison(ranking, verdict + _remark_on_use(ranking), recommended)
+
+
+def describe_difference(model: RobotModel, other: RobotModel) -> str:
+    """Return in what a robot differs from another one of other coordinates."""
+    sensors, others = (", ".join(sensor_names(one)) or "none" for one in (model, other))
+    moving, first = (
+        [one.joint_names[joint] for joint in one.moving_joints] for one in (model, other)
+    )
+    if sensors != others and moving == first:
+        return f"wrist sensors are {sensors} instead of {others}, those"
+    return "joints are not those"
 
 
 def _ranking_verdict(

@@ -244,6 +244,7 @@ class SolvedProblem:
                 alarms=self.alarms(value),
                 mass_scale=self._mass_scale(gain),
                 weighing_std=self._weighing_std,
+                is_scale_stated=problem.force_scale_std is not None,
             )
         estimate = self._estimate(
             method,

@@ -10,9 +10,11 @@ from documented_robots import ur5_urdf
 from payload_arm import COM, INERTIA, MASS, OFFSET, payload_arm_log
 
 from symbid_ros.diagnosis.findings import Kind
-from symbid_ros.errors import DataError
+from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import diagnose, identify
+from symbid_ros.identification.comparison import compare
+from symbid_ros.identification.report_data import load_report_data
 from symbid_ros.identification.validation import validate
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -207,11 +209,16 @@ def check_changed_sensors(found, arm, measured):
 
 def test_a_saved_result_predicts_the_sensor_and_merges(arm, measured, tmp_path):
     log = log_of(arm, measured, measured.wrench)
-    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST | {"no_holdout": False})
     found.save(tmp_path)
     again = validate(tmp_path, log)
     assert {one.name for one in again.coordinates} >= {f"{FRAME}/force_z", "elbow_joint"}
     check_changed_sensors(found, arm, measured)
+    with pytest.raises(EstimateError, match=r"wrist sensors are none instead of tool0:tool0"):
+        compare([found, identify(arm, log, unchecked=True, **FAST)], log)
+    series = load_report_data(tmp_path).forces
+    of_sensor = [name.startswith(FRAME) for name in series.coordinates]
+    np.testing.assert_array_equal(np.isnan(series.speed).all(axis=0), of_sensor)
     written = load_model(tmp_path / "model.urdf", "fixed")
     np.testing.assert_allclose(written.phi, found.robot.phi, atol=1e-9)
     other = identify(arm, found.information, wrist_sensor=(FRAME,), joint_terms=("none",))
