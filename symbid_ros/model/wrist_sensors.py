@@ -35,6 +35,15 @@ def sensor_names(model: RobotModel) -> tuple[str, ...]:
     )
 
 
+def links_beyond(model: RobotModel, frame: str) -> list[int]:
+    """Return the indices of the link behind a wrist sensor and of the links that move beyond it."""
+    found = [model.wrist_sensors[frame].stop]
+    for index, joint in enumerate(model.joints):
+        if joint.parent in found:
+            found.append(index + 1)
+    return found
+
+
 def sensor_frame(sensor: str) -> str:
     """Return the frame in ``FRAME``, ``FRAME:LINK`` or ``-FRAME:LINK``."""
     return sensor.removeprefix("-").partition(":")[0]

@@ -137,7 +137,12 @@ def compose(
         ),
         # The gain that no residual shows would make nearly all pairs look correlated.
         spread=parameter_spread(shown.estimate, shown.free_deviations, shown.prior_std),
-        payloads=payloads(shown.estimate, shown.deviations),
+        payloads=payloads(
+            shown.estimate,
+            shown.deviations,
+            shown.parameters,
+            shown.summary.posture if shown.summary.is_mean_posture else None,
+        ),
     )
     if ground_truth is None:
         return content
