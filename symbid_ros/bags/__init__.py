@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from symbid_ros.bags.reader import bag_log as bag_log
     from symbid_ros.bags.reader import read_streams as read_streams
     from symbid_ros.bags.reader import read_truth as read_truth
+    from symbid_ros.bags.reader import read_wrench_frames as read_wrench_frames
     from symbid_ros.bags.recovery.recover import recover as recover
     from symbid_ros.bags.recovery.report import LostRange as LostRange
     from symbid_ros.bags.recovery.report import RecoveryReport as RecoveryReport
@@ -36,7 +37,7 @@ MODULES = {
     "recovery.recover": ("recover",),
     "recovery.report": ("LostRange", "RecoveryReport"),
     "replay": ("RecordedMessage", "Recording"),
-    "reader": ("bag_log", "read_streams", "read_truth"),
+    "reader": ("bag_log", "read_streams", "read_truth", "read_wrench_frames"),
     "writing.background": ("BackgroundWriter", "QueuedMessage", "WriterState"),
     "writing.bag_file": ("create_folder",),
     "writing.writer": ("BagWriter",),

@@ -1,7 +1,7 @@
 """Read bags as logs, sensor streams or ground truth."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial, reduce
 from pathlib import Path
@@ -13,10 +13,10 @@ from symbid_ros.bags.container.files import count_messages, join_names, read_blo
 from symbid_ros.bags.slices import DEFAULT_SELECTION, iterate_slices
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.decoder import TopicDecoder
-from symbid_ros.messages.sensor_streams import read_field, read_stamps
+from symbid_ros.messages.sensor_streams import frame_id, read_field, read_stamps
 from symbid_ros.messages.static_transforms import is_static, static_transforms
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
-from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY
+from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY, WRENCH
 from symbid_ros.model.fixed_frames import FixedTransform
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.defects import DefectCounts, kept_in_order
@@ -110,6 +110,20 @@ def read_static_transforms(bags: Sequence[Path]) -> tuple[FixedTransform, ...]:
         if left <= 0:
             break
     return tuple(found.values())
+
+
+def read_wrench_frames(bags: Sequence[Path], topics: Collection[str]) -> dict[str, str]:
+    """Read the frames of WrenchStamped topics, which the first message of each tells."""
+    found: dict[str, str] = {}
+    for block in read_blocks(bags):
+        for topic, spans in block.spans.items():
+            if topic.name in topics and topic.name not in found and topic.msgtype == WRENCH:
+                decoder = TopicDecoder(join_names(bags), topic)
+                decoder.add(block.data, spans[:1])
+                found[topic.name] = frame_id(decoder)
+        if len(found) == len(topics):
+            break
+    return found
 
 
 def read_streams(bags: Sequence[Path], topics: TopicSelection = DEFAULT_SELECTION) -> Streams:

@@ -94,7 +94,13 @@ def doctor(
 
     loaded = None if model is None else load_robot(model, base, bags)
     if loaded is not None:
-        log = with_wrench_topics(log, loaded, bags, has_contacts=bool(contacts.contacts))
+        log = with_wrench_topics(
+            log,
+            loaded,
+            bags,
+            has_contacts=bool(contacts.contacts),
+            wrist_sensors=contacts.wrist_sensors,
+        )
     with progress_shown():
         found = diagnose(loaded, open_bags(bags, loaded, log), contacts)
     print_verdict(found, as_json=as_json)

@@ -385,7 +385,7 @@ def print_validation(found: Validation) -> None:
             f"mean of (error / std)²: {found.normalized_square:.2f}, ideally 1",
             soft_wrap=True,
         )
-    style = "bold red" if not found.is_better else "green" if found.is_covered else "yellow"
+    style = "bold red" if not found.is_recommended else "green" if found.is_covered else "yellow"
     console.print(Text(spelled(found.verdict, flag), style=style), soft_wrap=True)
 
 

@@ -48,7 +48,8 @@ def validate(
     and compared with the measured ones. The bag is read like that of the identification, with the
     same topics, names and units, unless flags or a robot file say otherwise.
 
-    Exit status: 0 better than the original model, 1 not better, 2 error.
+    Exit status: 0 use it, 1 not better than the original model or not fit for this robot or load,
+    2 error.
     """
     from symbid_ros.atomic_write import check_writable
     from symbid_ros.cli.tables import print_validation
@@ -71,7 +72,7 @@ def validate(
         typer.echo(json.dumps(found.document(), indent=1))
     else:
         print_validation(found)
-    if not found.is_better:
+    if not found.is_recommended:
         raise typer.Exit(1)
 
 
@@ -91,6 +92,9 @@ def compare(
     All are judged on the same rows: windows of the longest length among them, where the equation
     of motion holds for each. The bag is read like those of the identifications, as far as these
     agree.
+
+    Exit status: 0 one is recommended, 1 none is better than the original model and fit for this
+    robot and load, 2 error.
     """
     from symbid_ros.cli.tables import print_comparison
     from symbid_ros.identification.comparison import compare as rank
@@ -103,6 +107,8 @@ def compare(
         typer.echo(json.dumps(found.document(), indent=1))
     else:
         print_comparison(found)
+    if found.recommended is None:
+        raise typer.Exit(1)
 
 
 def as_identified(log: LogOptions, results: list[Path]) -> LogOptions:

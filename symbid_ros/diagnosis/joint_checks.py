@@ -33,6 +33,9 @@ FAR = 10 * np.pi
 # rad/s or m/s (RMS) that no joint of a robot reaches: readings of 4096 a turn that are taken for
 # radians do so at half a radian per second.
 FASTEST = 300.0
+# Degrees within one turn jump by a circle, apart from the joint's motion: 10 degrees in a message
+# are 2000 degrees/s at 200 Hz.
+CIRCLE, WRAP_MARGIN = 360.0, 10.0
 # Joints that move both ways, this many times each, of which so many have efforts of one sign.
 FEWEST_REVERSING, FEWEST_UNSIGNED = 10, 4
 # Spans in which a joint moves at least so that its effort cannot be constant.
@@ -86,6 +89,7 @@ class JointCheck:
     _is_negative: BoolArray = field(init=False)  # ever, before the user's effort_scale
     _is_positive: BoolArray = field(init=False)
     _returns: IntArray = field(init=False)  # jumps to and fro
+    _wraps: IntArray = field(init=False)  # jumps by 360
     _moved: IntArray = field(init=False)  # number of spans with motion down and up
     _speeds: FloatArray = field(init=False)  # number of spans, and squares of their mean velocity
     # Number of efforts, their squares, and the squares of their second differences.
@@ -104,6 +108,7 @@ class JointCheck:
         self._is_negative = np.zeros(joints, dtype=bool)
         self._is_positive = np.zeros(joints, dtype=bool)
         self._returns = np.zeros(joints, dtype=np.int64)
+        self._wraps = np.zeros(joints, dtype=np.int64)
         self._moved = np.zeros((2, joints), dtype=np.int64)
         self._speeds = np.zeros((2, joints))
         self._efforts = np.zeros((3, joints))
@@ -132,6 +137,8 @@ class JointCheck:
         self._add_efforts(joints.effort[inside])
         self._add_returns(joints.position[inside])
         position = joints.position
+        jump = np.abs(np.diff(position, axis=0))
+        self._wraps += np.count_nonzero(np.abs(jump - CIRCLE) < WRAP_MARGIN, axis=0)
         self._low = np.fmin(self._low, np.nanmin(position, axis=0, initial=np.inf))
         self._high = np.fmax(self._high, np.nanmax(position, axis=0, initial=-np.inf))
         period = max(float(np.median(np.diff(joints.stamp))), 1.0)
@@ -214,7 +221,7 @@ class JointCheck:
         """Return the findings about positions, velocities and efforts."""
         if two := self._publisher_findings():
             return two
-        found = self._count_findings(model)
+        found = self._wrap_findings(model) or self._count_findings(model)
         if not found and model is not None:
             found = self._degree_findings(model)
         return [*self._missing_value_findings(model), *(found or self._velocity_findings())]
@@ -415,6 +422,33 @@ class JointCheck:
             return False
         return not CLOCK_SCALES[0] < float(np.median(scales)) < CLOCK_SCALES[1]
 
+    def _wrap_findings(self, model: RobotModel | None) -> list[Finding]:
+        """Return a finding if positions jump by 360 from one end of a turn to the other."""
+        span = self._high - self._low
+        is_one_turn = np.abs(span - CIRCLE) < WRAP_MARGIN
+        places = np.flatnonzero((self._wraps > 0) & is_one_turn).tolist()
+        if not places:
+            return []
+        hinges = self._hinges(model) if model is not None else [self.names[i] for i in places]
+        return [
+            Finding.of(
+                self.topic,
+                Kind.UNIT,
+                f"positions of {self._list_names(places)} jump by 360 between the ends of one "
+                f"turn, as if in degrees; use rad and rad/s, or write {position_line(hinges)}",
+                {f"{self.names[i]}/wraps": int(self._wraps[i]) for i in places},
+            )
+        ]
+
+    def _hinges(self, model: RobotModel) -> list[str]:
+        """Return the names of all revolute joints with readings."""
+        kinds = {joint.name: joint.kind for joint in model.joints}
+        return [
+            name
+            for name, low, high in zip(self.names, self._low, self._high, strict=True)
+            if kinds.get(name) == "revolute" and low <= high
+        ]
+
     def _count_findings(self, model: RobotModel | None) -> list[Finding]:
         """Return a finding if positions are too fast or too far for radians and for degrees."""
         count, squares = self._speeds
@@ -474,12 +508,6 @@ class JointCheck:
         is_alone = outside == 1 < checked
         if not outside or is_alone or 2 * outside < checked or largest <= least:
             return []
-        kinds = {joint.name: joint.kind for joint in model.joints}
-        hinges = [
-            name
-            for name, low, high in zip(self.names, self._low, self._high, strict=True)
-            if kinds.get(name) == "revolute" and low <= high
-        ]
         joints = (
             "1 joint leave its limits" if outside == 1 else f"{outside} joints leave their limits"
         )
@@ -488,8 +516,8 @@ class JointCheck:
                 self.topic,
                 Kind.UNIT,
                 f"positions of {joints} in {model.source} and reach {largest:.3g}, as if in "
-                f"degrees; use rad and rad/s, or write {position_line(hinges)}, or correct the "
-                "limits in the model if the joints turn that far",
+                f"degrees; use rad and rad/s, or write {position_line(self._hinges(model))}, or "
+                "correct the limits in the model if the joints turn that far",
                 {"joints": outside, "largest": largest},
             )
         ]

@@ -155,6 +155,20 @@ def unusable(findings: Iterable[Finding]) -> Sequence[Finding]:
     return [one for one in findings if one.severity is Severity.UNUSABLE]
 
 
+def without_other_robots(unknown: Sequence[str], joints: Sequence[str]) -> list[str]:
+    """Return unknown joints without those of further robots of the same model.
+
+    Their names are a prefix, such as ``right_``, and the name of each joint of the model.
+    """
+    if not joints:
+        return list(unknown)
+    first, *_ = joints
+    prefixes = [name.removesuffix(first) for name in unknown if name.endswith(first)]
+    robots = [{f"{prefix}{joint}" for joint in joints} for prefix in prefixes]
+    others = set().union(*(robot for robot in robots if robot <= set(unknown)))
+    return [name for name in unknown if name not in others]
+
+
 def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
     """Return findings for joint names and frames that do not match the model."""
     joints = streams.joints
@@ -173,6 +187,7 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
             )
         )
     unknown = [name for name in joints.names if name not in model.joint_names]
+    unknown = without_other_robots(unknown, model.measured_joint_names)
     if unknown:
         found.append(
             Finding(

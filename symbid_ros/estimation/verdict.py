@@ -78,6 +78,8 @@ class Verdict:
         if a weighing checks it.
     weighing_std : float
         Standard deviation of the robot's weighing, kg; 0 without one.
+    is_scale_stated : bool
+        Whether the user stated the standard deviation of the sensors' common gain error.
     """
 
     window: float
@@ -95,6 +97,7 @@ class Verdict:
     is_prior_scaled: bool = False
     mass_scale: float = 0.0
     weighing_std: float = 0.0
+    is_scale_stated: bool = False
 
     @property
     def is_coloured(self) -> bool:
@@ -164,16 +167,17 @@ class Verdict:
         if not self.has_open_scale or self.describe_drive_gains():
             return ""
         start = f"mass scale ± {100 * self.mass_scale:.2g} %, not checkable"
+        stated = "it follows from `force_scale_std`"
         if not floating:
-            return (
-                f"{start} by efforts alone: give the standard deviation of their common gain "
-                "error as `force_scale_std`"
-            )
+            give = "give the standard deviation of their common gain error as `force_scale_std`"
+            return f"{start} by efforts alone: {stated if self.is_scale_stated else give}"
         if self.weighing_std > 0:
             return (
                 f"{start} by a weighing with a standard deviation of {self.weighing_std:.2g} kg: "
                 "weigh the robot more accurately, and give `total_mass_std`"
             )
+        if self.is_scale_stated:
+            return f"{start} without a weighing: {stated}; give `total_mass` to check it"
         return (
             f"{start} without a weighing: give `total_mass`, or the standard deviation of the "
             "sensors' common gain error as `force_scale_std`"
@@ -192,6 +196,7 @@ def assess(
     alarms: tuple[str, ...] = (),
     mass_scale: float = 0.0,
     weighing_std: float = 0.0,
+    is_scale_stated: bool = False,
 ) -> Verdict:
     """Return the verdict on an estimate.
 
@@ -207,7 +212,7 @@ def assess(
         See :class:`Verdict`.
     sensors : pair of sequences of str
         Names and units of the sensor errors.
-    alarms, mass_scale, weighing_std
+    alarms, mass_scale, weighing_std, is_scale_stated
         See :class:`Verdict`.
     """
     p = len(parameters)
@@ -255,4 +260,5 @@ def assess(
         is_prior_scaled=posterior.is_scaled,
         mass_scale=mass_scale,
         weighing_std=weighing_std,
+        is_scale_stated=is_scale_stated,
     )

@@ -15,6 +15,8 @@ from symbid_ros.identification.result import Result
 from symbid_ros.identification.validation import assess, predictor_of
 from symbid_ros.identification.validation_result import Validation
 from symbid_ros.json_documents import versioned
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.wrist_sensors import sensor_names
 from symbid_ros.signals.log import Log
 
 WINDOW = 0.161  # s; for comparisons of results without windows
@@ -30,15 +32,19 @@ class Comparison:
         The smallest error first.
     verdict : str
         Which result to use.
+    recommended : str or None
+        Its name; None if none is better than the original model and fit for this robot and load.
     """
 
     ranking: tuple[Validation, ...]
     verdict: str
+    recommended: str | None
 
     def document(self) -> dict[str, object]:
         """Return everything but the series, for JSON."""
         ranking = [one.document() for one in self.ranking]
-        return versioned("comparison", {"verdict": self.verdict, "ranking": ranking})
+        content = {"verdict": self.verdict, "recommended": self.recommended, "ranking": ranking}
+        return versioned("comparison", content)
 
 
 @on_one_blas_thread
@@ -73,9 +79,9 @@ def compare(
     for predictor in predictors:
         model = predictor.parameters.model
         if model.coordinates != first.parameters.model.coordinates:
+            difference = describe_difference(model, first.parameters.model)
             raise EstimateError(
-                f"{predictor.name}: its joints are not those of {first.name}; compare results of "
-                "one robot",
+                f"{predictor.name}: its {difference} of {first.name}; compare results of one robot",
                 "E512",
             )
         alike = predictor if has_equal_rows else predictor.over_windows(window)
@@ -94,23 +100,56 @@ def compare(
     ]
     order = sorted(range(len(found)), key=lambda index: found[index].main.rmse_after)
     ranking = tuple(found[index] for index in order)
+    best = ranking[0]
     if len(ranking) == 1:
-        return Comparison(ranking, f"{ranking[0].result}: {ranking[0].verdict}")
-    verdict = _ranking_verdict(ranking[:2], [data[index] for index in order[:2]])
-    return Comparison(ranking, verdict + _remark_on_use(ranking))
+        recommended = best.result if best.is_recommended else None
+        return Comparison(ranking, f"{best.result}: {best.verdict}", recommended)
+    verdict, chosen = _ranking_verdict(ranking[:2], [data[index] for index in order[:2]])
+    recommended = None if chosen is None else chosen.result
+    return Comparison(ranking, verdict + _remark_on_use(ranking), recommended)
 
 
-def _ranking_verdict(pair: Sequence[Validation], data: Sequence[ForceRows]) -> str:
-    """Compare the best two results."""
-    best, second = data
-    places = best.main
+def describe_difference(model: RobotModel, other: RobotModel) -> str:
+    """Return in what a robot differs from another one of other coordinates."""
+    sensors, others = (", ".join(sensor_names(one)) or "none" for one in (model, other))
+    moving, first = (
+        [one.joint_names[joint] for joint in one.moving_joints] for one in (model, other)
+    )
+    if sensors != others and moving == first:
+        return f"wrist sensors are {sensors} instead of {others}, those"
+    return "joints are not those"
+
+
+def _ranking_verdict(
+    pair: Sequence[Validation], data: Sequence[ForceRows]
+) -> tuple[str, Validation | None]:
+    """Compare the best two results, and return which one to use, if any."""
+    best, second = pair
+    if best.advice in ("equal", "worse"):
+        said = f"{best.change} with {best.result}, the best of them"
+        return f"none is clearly better than the original model: {said}", None
+    places = data[0].main
     change = compare_errors(
-        second.error_after[:, places], best.error_after[:, places], best.y[:, places]
+        data[1].error_after[:, places], data[0].error_after[:, places], data[0].y[:, places]
     )
     figures = " against ".join(_after(one) for one in pair)
     if change.is_decrease:
-        return f"{pair[0].result} predicts best: {figures}"
-    return f"{pair[0].result} and {pair[1].result} hardly differ: {figures}"
+        verdict, equals = f"{best.result} predicts best: {figures}", [best]
+    else:
+        verdict, equals = f"{best.result} and {second.result} hardly differ: {figures}", [*pair]
+    verdict += "".join(f"; {_objection(one)}" for one in equals if not one.is_recommended)
+    return verdict, next((one for one in equals if one.is_recommended), None)
+
+
+def _objection(found: Validation) -> str:
+    """Return why not to use a result of small errors."""
+    reasons = {
+        "mixed": f"{' and '.join(found.worse)} got worse than with the original model",
+        "unfit": "its error is larger than the measured forces",
+        "better": "it is not fit for this robot or load",
+    }
+    reason = reasons.get(found.advice, "it is not clearly better than the original model")
+    return f"do not use {found.result}, {reason}"
 
 
 def _remark_on_use(ranking: Sequence[Validation]) -> str:

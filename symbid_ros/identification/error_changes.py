@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from symbid_ros.identification.force_errors import ForceError, differ_relevantly
+from symbid_ros.identification.force_errors import SENSOR_PARTS, ForceError, differ_relevantly
 
 ALL_JOINTS, SLOW_STRETCHES = "all joints", "slow stretches"
 BASE_MOMENT, BASE_FORCE, WRIST_SENSORS = "base moment", "base force", "wrist sensors"
@@ -19,6 +19,8 @@ def describe_change(error: ForceError) -> str:
     }
     groups = ALL_JOINTS, SLOW_STRETCHES
     what = forces.get(error.name, "torque" if error.name in groups else f"effort of {error.name}")
+    if error.name.startswith(tuple(f"{kind} at " for kind in SENSOR_PARTS)):
+        what = error.name
     change = percent_change(error.percent_before, error.percent_after)
     return f"{change} of the measured {what}"
 

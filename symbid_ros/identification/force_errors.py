@@ -1,6 +1,6 @@
 """Measured and predicted forces of a log, their errors, and whether two errors differ."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import pairwise
 from typing import Any
@@ -22,10 +22,14 @@ SLOW = 0.1
 BLOCKS = 10
 ROWS_PER_BLOCK = 4
 CONFIDENCE = 0.975  # one-sided
+# Share of errors in their 90 % interval below which standard deviations are too small.
+LEAST_COVERAGE = 0.7
 # Two errors differ if their ratio exceeds this beyond chance.
 RELEVANT = 1.05
 # Rounding, as a share of the measured force.
 ROUNDING = 1e-12
+# Parts of a wrench, and where they begin.
+SENSOR_PARTS = {"moment": 0, "force": 3}
 
 
 def differ_relevantly(before: float | None, after: float | None) -> bool:
@@ -196,6 +200,15 @@ class ForceRows:
         places = self.model.wrist_sensors.values()
         forces = [self.first_joint + place.start + axis for place in places for axis in (3, 4, 5)]
         return np.intersect1d(self.used, forces)
+
+    def of_sensors(self, kinds: Sequence[str]) -> dict[str, IntArray]:
+        """Return the coordinates with rows of each wrist sensor's moment or force, by name."""
+        found = {
+            f"{kind} at {frame}": self.first_joint + place.start + SENSOR_PARTS[kind] + np.arange(3)
+            for frame, place in self.model.wrist_sensors.items()
+            for kind in kinds
+        }
+        return {name: own for name, own in found.items() if np.isin(own, self.used).all()}
 
     @property
     def main(self) -> IntArray:

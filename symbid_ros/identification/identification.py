@@ -31,8 +31,8 @@ class Identification:
     rows : RowBuilder
         Builds the rows of these unknowns.
     scale_change : (p,) float64 or None
-        Change of the parameters with one deviation of the gain that no residual shows, as far as
-        their deviations contain it.
+        Change of all parameters with one deviation of the gain that no residual shows. It scales a
+        link's parameters alike where the data determine them, and then moves no centre of mass.
     correlation : (n, n) float64 or None
         Of the residuals of a row's coordinates, on a robot with unmeasured contacts.
     report : ReportData or None

@@ -16,7 +16,7 @@ from symbid_ros.identification.options import IdentifyOptions, Source
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.model.wrist_sensors import reversed_sensor
+from symbid_ros.model.wrist_sensors import reversed_sensor, sensor_frame
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
 
@@ -81,9 +81,9 @@ def with_loaded_logs(
 
 def with_reversed(options: IdentifyOptions, wrong: Sequence[str], source: str) -> IdentifyOptions:
     """Return the options with the opposite sign of some wrist sensors, and log a warning."""
-    frames = {one.removeprefix("-").partition(":")[0] for one in wrong}
+    frames = {sensor_frame(one) for one in wrong}
     named = [
-        reversed_sensor(one) if one.removeprefix("-").partition(":")[0] in frames else one
+        reversed_sensor(one) if sensor_frame(one) in frames else one
         for one in options.wrist_sensors
     ]
     logger.warning(

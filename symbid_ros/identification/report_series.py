@@ -115,7 +115,10 @@ def force_series(
     places = np.unique(np.linspace(0, len(time) - 1, min(len(time), MOST_SPEEDS)).round())
     some = places.astype(np.int64)
     speed = np.full((len(some), measured.shape[1]), np.nan)
-    speed[:, first:] = trace.speeds(efforts.stamp[some], window)
+    moving = list(model.moving_joints)  # a component of a wrist sensor has no speed
+    speed[:, first + np.array(moving, dtype=int)] = trace.speeds(efforts.stamp[some], window)[
+        :, moving
+    ]
     frequency, powers = _spectra(time, (measured, rest_before, rest_after))
     return ForceSeries(
         coordinates=model.coordinates,

@@ -233,7 +233,11 @@ class Result:
 
     @property
     def covariance(self) -> FloatArray:
-        """(p, p) covariance of the parameters.
+        """(p, p) covariance of the parameters, with the gain that all force sensors may share.
+
+        It contains this gain in all parameters, because it scales them together: it cancels in
+        a centre of mass. ``std`` of an estimate contains it in the masses only, unless
+        ``force_scale_std`` is given.
 
         Raises
         ------

@@ -29,7 +29,7 @@ from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.model.wrist_sensors import with_wrist_sensors
+from symbid_ros.model.wrist_sensors import sensor_frame, with_wrist_sensors
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.user_files import load_json
 
@@ -342,6 +342,7 @@ def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
         parameters = ParameterSet(model)
         return EstimatedModel(parameters, load_prior(file, parameters).mean)
     estimate = load_estimate(file)
+    _require_sensor_frames(file, estimate, model)
     model = with_wrist_sensors(model, estimate.wrist_sensors)
     if estimate.gravity is not None and not model.floating:
         model = replace(model, gravity=np.array(estimate.gravity))
@@ -372,6 +373,19 @@ def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
     if calibration is not None:
         calibration = _calibration_in_order(calibration, order, estimate, factor, archive)
     return EstimatedModel(parameters, ordered.value, ordered, factor, calibration)
+
+
+def _require_sensor_frames(file: Path, estimate: Estimate, model: RobotModel) -> None:
+    """Raise an error if a model lacks a wrist sensor's frame, which the identified log had."""
+    known = {*(frame.name for frame in model.frames), *model.link_names}
+    for frame in map(sensor_frame, estimate.wrist_sensors):
+        if frame not in known:
+            raise EstimateError(
+                f"{file}: {model.source} has no frame {frame} of its wrist sensor, which "
+                "/tf_static of the identified log fixed; add it to the robot's model file as a "
+                "link with a fixed joint, and identify again with that file",
+                "E116",
+            )
 
 
 def _require_links(file: Path, estimate: Estimate, model: RobotModel) -> None:

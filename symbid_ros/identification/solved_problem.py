@@ -1,6 +1,6 @@
 """Solves a problem with any method: observations and a prior in, an estimate out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,7 +34,7 @@ from symbid_ros.identification.term_remarks import joints_without_rows
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.wrist_sensors import sensor_names
+from symbid_ros.model.wrist_sensors import links_beyond, sensor_names
 from symbid_ros.package_paths import package_version
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN
 
@@ -168,7 +168,7 @@ class SolvedProblem:
 
     @property
     def _scaled_parameters(self) -> BoolArray:
-        """(p,) which parameters' deviations contain that of the common gain."""
+        """(p,) which parameters' stated deviations contain that of the common gain."""
         parameters = self.problem.parameters
         is_scaled = np.ones(len(parameters), dtype=bool)
         if self.problem.force_scale_std is None:
@@ -229,8 +229,8 @@ class SolvedProblem:
         singular = np.linalg.svd(found.factor * found.prior.std, compute_uv=False)
         std, gain, change = found.std[:p], self._common_gain(), None
         if gain is not None:
-            change = np.where(self._scaled_parameters, gain.std * gain.direction[:p], 0.0)
-            std = np.hypot(std, change)
+            change = gain.std * gain.direction[:p]
+            std = np.hypot(std, np.where(self._scaled_parameters, change, 0.0))
         verdict = None
         if with_verdict:
             verdict = assess(
@@ -244,6 +244,7 @@ class SolvedProblem:
                 alarms=self.alarms(value),
                 mass_scale=self._mass_scale(gain),
                 weighing_std=self._weighing_std,
+                is_scale_stated=problem.force_scale_std is not None,
             )
         estimate = self._estimate(
             method,
@@ -252,11 +253,12 @@ class SolvedProblem:
             condition=float(singular[0] / singular[-1]),
             residuals=self._residuals(value),
         )
+        remarks = (*estimate.remarks, *self._payload_remarks(value, change))
         noise = {} if verdict is None else self._row_std(value, verdict.effective)
         has_contacts = problem.parameters.model.contacts is not None
         correlation = self.chosen.residual_correlation(value) if has_contacts and noise else None
         return Identification(
-            replace(estimate, verdict=verdict, row_std=noise),
+            replace(estimate, verdict=verdict, row_std=noise, remarks=remarks),
             problem.data,
             found.deviation_factor,
             self.chosen.window,
@@ -265,6 +267,24 @@ class SolvedProblem:
             change,
             correlation,
         )
+
+    def _payload_remarks(self, value: FloatArray, change: FloatArray | None) -> Iterator[str]:
+        """Yield the mass behind each wrist sensor that carries moving links, such as fingers."""
+        parameters = self.problem.parameters
+        column = {int(link): 10 * place for place, link in enumerate(parameters.links)}
+        for frame in parameters.model.wrist_sensors:
+            own, *moving = links_beyond(parameters.model, frame)
+            masses = [column[link] for link in (own, *moving) if link in column]
+            if not moving:
+                continue
+            std = np.linalg.norm(self.posterior.deviation_factor[masses].sum(axis=0))
+            if change is not None:
+                std = np.hypot(std, change[masses].sum())
+            names = ", ".join(parameters.model.link_names[link] for link in moving)
+            yield (
+                f"beyond {frame}: {value[masses].sum():.4g} ± {std:.2g} kg together "
+                f"with the moving {names}; the report states their common centre of mass"
+            )
 
     def truncated(
         self,

@@ -19,11 +19,13 @@ from symbid_ros.identification.error_changes import (
     WRIST_SENSORS,
 )
 from symbid_ros.identification.force_errors import (
+    SENSOR_PARTS,
     ErrorChange,
     ForceError,
     ForceRows,
     differ_relevantly,
 )
+from symbid_ros.identification.offset_changes import offset_changes, without_offset_changes
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result import Result
 from symbid_ros.identification.validation_result import Advice, PredictedEfforts, Validation
@@ -106,7 +108,8 @@ def predictor_of(
 
 def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validation:
     """Return the validation of a result on rows of a log named ``source``."""
-    model = rows.model
+    offsets = offset_changes(rows)
+    rows, model = without_offset_changes(rows, offsets), rows.model
     joints = rows.joints if model.floating else rows.main
     drives = ALL_JOINTS if len(rows.joints) else WRIST_SENSORS
     groups: dict[str, IntArray] = {}
@@ -123,7 +126,7 @@ def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validatio
     coordinates = tuple(
         rows.error(np.array([place]), model.coordinates[place]) for place in rows.used.tolist()
     )
-    worse = _worse_joints(rows, {one.name: one for one in coordinates})
+    worse = _worse_parts(rows)
     advice = _advice(changes, worse)
     calibration = rows.calibration()
     has_weight = model.floating and model.contacts is None
@@ -156,6 +159,7 @@ def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validatio
             # A mimic joint has no row of its own: its load is part of its leader's.
             and joint not in model.followers
         ),
+        offsets=offsets,
     )
     if found.percent_after is not None and found.percent_after >= NO_MODEL:
         found = replace(found, advice="unfit")
@@ -163,24 +167,29 @@ def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validatio
     if found.advice == "mixed":
         deciding += worse.values()
     found = replace(found, deciding=tuple(deciding))
+    alarms = _repeated_alarms(predictor.estimate.verdict)
     verdict = _verdict(found, changes)
-    if found.is_better and not found.is_of_other_robot:
-        verdict += _repeated_alarms(predictor.estimate.verdict)
-    return replace(found, verdict=verdict)
+    verdict += _reservations(found, has_sensors=bool(model.wrist_sensors), is_doubted=bool(alarms))
+    return replace(found, verdict=verdict + alarms)
 
 
-def _worse_joints(rows: ForceRows, errors: Mapping[str, ForceError]) -> dict[str, ForceError]:
-    """Return the errors of joints that got worse, beyond chance and by a noticeable amount."""
-    if not len(rows.joints):
-        return {}
-    least = SMALL_EFFORT * rows.error(rows.joints, ALL_JOINTS).measured
+def _worse_parts(rows: ForceRows) -> dict[str, ForceError]:
+    """Return the errors of joints and wrist sensors that got worse, beyond chance and noticeably.
+
+    Without rows of the joints, the forces of the sensors are judged together.
+    """
+    names = rows.model.coordinates
+    parts = {names[place]: np.array([place]) for place in rows.joints.tolist()}
+    parts |= rows.of_sensors(tuple(SENSOR_PARTS) if parts else ("moment",))
+    least = SMALL_EFFORT * rows.error(rows.joints, ALL_JOINTS).measured if len(rows.joints) else 0.0
     worse = {}
-    for place in rows.joints.tolist():
-        error = errors[rows.model.coordinates[place]]
-        if error.rmse_after - error.rmse_before <= NOTICEABLE * max(error.measured, least):
+    for name, places in parts.items():
+        error = rows.error(places, name)
+        floor = least if name in names else 0.0
+        if error.rmse_after - error.rmse_before <= NOTICEABLE * max(error.measured, floor):
             continue
-        if rows.change(np.array([place]), len(rows.joints)).is_increase:
-            worse[error.name] = error
+        if rows.change(places, len(parts)).is_increase:
+            worse[name] = error
     return worse
 
 
@@ -228,9 +237,10 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
         start = "better than the original, but not fit for this robot or load"
     elif found.is_better:
         limits = [f"for {' and '.join(found.unpredicted)}"] * bool(found.unpredicted)
+        limits += [f"its offset of {one.frame}" for one in found.offsets]
         limits += ["its standard deviations"] * (not found.is_covered)
         start = ", but not ".join([start, " and not ".join(limits)]) if limits else start
-    return f"{start}: {found.change} {used}{_reservations(found)}"
+    return f"{start}: {found.change} {used}"
 
 
 def _repeated_alarms(identified: Verdict | None) -> str:
@@ -242,14 +252,20 @@ def _repeated_alarms(identified: Verdict | None) -> str:
     return f"; alarms of its identification: {said}"
 
 
-def _reservations(found: Validation) -> str:
+def _reservations(found: Validation, *, has_sensors: bool, is_doubted: bool) -> str:
     """Return which intervals and joints the advice is not about; empty if there are none."""
-    remarks = []
+    remarks = [
+        f"{change}, which is left out: another tare or drift" for change in map(str, found.offsets)
+    ]
     if found.is_of_other_robot:
         ratio = float(np.sqrt(found.normalized_square or 0.0))
+        differs = (
+            "the robot, its load or its wrist sensor" if has_sensors else "the robot or its load"
+        )
+        wrong = "the identification is wrong, as its alarms say, or " if is_doubted else ""
         remarks.append(
-            f"the errors are {ratio:.0f} times as large as in the identified log, so the robot or "
-            "its load differs from the identified one: give what it carries as `payload`, or "
+            f"the errors are {ratio:.0f} times as large as in the identified log, so {wrong}"
+            f"{differs} differs from the identified one: give what it carries as `payload`, or "
             "identify this log"
         )
     elif not found.is_covered and found.coverage is not None:

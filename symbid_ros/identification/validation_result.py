@@ -8,13 +8,18 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.identification.error_changes import describe_change, percent
-from symbid_ros.identification.force_errors import ForceError, ForceRows, TotalMass
+from symbid_ros.identification.force_errors import (
+    LEAST_COVERAGE,
+    ForceError,
+    ForceRows,
+    TotalMass,
+)
+from symbid_ros.identification.offset_changes import OffsetChange
 from symbid_ros.json_documents import versioned
 
 Advice = Literal["better", "equal", "worse", "mixed", "unfit"]
-# Share of errors in their 90 % interval below which standard deviations are too small, and rows
-# that a single coordinate needs to be named.
-LEAST_COVERAGE, COVERAGE_ROWS = 0.7, 20
+# Rows that a single coordinate needs to be named.
+COVERAGE_ROWS = 20
 # Normalised square above which the robot or its load is not that of the identified log. Logs of
 # one robot have 1 to 1.4.
 OTHER_ROBOT = 100.0
@@ -112,9 +117,13 @@ class Validation:
     deciding : tuple of ForceError
         Errors by which the advice was chosen; ``main`` is one of them.
     worse : tuple of str
-        Joints, or moment and force on the base, that the identified model predicts clearly worse.
+        Joints, wrist sensors, or moment and force on the base, that the identified model predicts
+        clearly worse.
     not_judged : tuple of str
         Joints without a row: they hardly move, or their efforts are unknown.
+    offsets : tuple of OffsetChange
+        Wrist sensors whose offset is not that of the identified log, because they were tared again.
+        All errors are without this change.
     """
 
     result: str
@@ -139,11 +148,17 @@ class Validation:
     deciding: tuple[ForceError, ...] = ()
     worse: tuple[str, ...] = ()
     not_judged: tuple[str, ...] = ()
+    offsets: tuple[OffsetChange, ...] = ()
 
     @property
     def is_better(self) -> bool:
         """Whether the identified model predicts the log better than the original one."""
         return self.advice == "better"
+
+    @property
+    def is_recommended(self) -> bool:
+        """Whether to use the identified model for this robot and load."""
+        return self.is_better and not self.is_of_other_robot
 
     @property
     def main(self) -> ForceError:
@@ -218,6 +233,7 @@ class Validation:
         document = {
             "verdict": self.verdict,
             "advice": self.advice,
+            "is_recommended": self.is_recommended,
             "worse": list(self.worse),
             "not_judged": list(self.not_judged),
             "percent_before": self.percent_before,

@@ -52,7 +52,8 @@ class LogOptions:
         "WrenchStamped topic.",
         group=GROUP,
         unset="all that are named wrench; if bags of a floating robot have none and no `contact` "
-        "is given, all of this type, with a warning",
+        "is given, all of this type, with a warning. In bags also the topic with the frame of a "
+        "`wrist_sensor`",
     )
     pose_topic: tuple[str, ...] = option(
         (),

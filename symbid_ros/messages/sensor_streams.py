@@ -264,7 +264,7 @@ def build_joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStrea
 def build_imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
     """Return an IMU's messages; orientation is None if every message marks it absent (REP-145)."""
     topic = decoder.topic.name
-    frame_id = _frame_id(decoder)
+    frame = frame_id(decoder)
     stamp = read_stamps(decoder)
     readings = {}
     for name in ("angular_velocity", "linear_acceleration"):
@@ -286,7 +286,7 @@ def build_imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
     kept = _in_order(usable, stamp, tally)
     return ImuStream(
         topic=topic,
-        frame_id=frame_id,
+        frame_id=frame,
         stamp=stamp[kept],
         orientation=None if absent.all() else orientation[kept],
         **{name: values[kept] for name, values in readings.items()},
@@ -296,14 +296,14 @@ def build_imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
 def build_wrench_stream(decoder: TopicDecoder, tally: DefectCounts) -> WrenchStream:
     """Return a wrench sensor's messages."""
     topic = decoder.topic.name
-    frame_id = _frame_id(decoder)
+    frame = frame_id(decoder)
     stamp = read_stamps(decoder)
     force, torque = read_field(decoder, "wrench.force"), read_field(decoder, "wrench.torque")
     usable = _usable(tally, stamp, {"wrench.force": force, "wrench.torque": torque})
     kept = _in_order(usable, stamp, tally)
     read = WrenchStream(
         topic=topic,
-        frame_id=frame_id,
+        frame_id=frame,
         stamp=stamp[kept],
         force=force[kept],
         torque=torque[kept],
@@ -334,7 +334,7 @@ def build_pose_stream(decoder: TopicDecoder, tracked: str, tally: DefectCounts) 
     return PoseStream(
         topic=decoder.topic.name,
         frame_id=frame,
-        world=_frame_id(decoder),
+        world=frame_id(decoder),
         stamp=stamp[kept],
         position=read["position"][kept],
         orientation=read["orientation"][kept],
@@ -375,7 +375,8 @@ def _joint_names(decoder: TopicDecoder) -> tuple[str, ...]:
     )
 
 
-def _frame_id(decoder: TopicDecoder) -> str:
+def frame_id(decoder: TopicDecoder) -> str:
+    """Return the frame that all messages of a sensor have in common."""
     frames = {batch.layout.text["header.frame_id"][0] for batch in decoder.batches}
     if len(frames) > 1:
         raise DefectError(

@@ -344,7 +344,13 @@ class RobotModel:
                 return frame
         if name in self.link_names:
             return Frame(name, self.link_names.index(name), np.eye(3), np.zeros(3))
-        known = ", ".join([*(frame.name for frame in self.frames), *self.link_names])
+        inside = {
+            self.link_names[joint + 1]
+            for own in self.wrist_sensors.values()
+            for joint in range(own.start, own.stop - 1)
+        }
+        links = [link for link in self.link_names if link not in inside]
+        known = ", ".join([*(frame.name for frame in self.frames), *links])
         if option:
             raise ModelError(
                 f"`{option}`: {self.source} has no frame or link {name!r}; give one of {known}",

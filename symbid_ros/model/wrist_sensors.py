@@ -35,6 +35,20 @@ def sensor_names(model: RobotModel) -> tuple[str, ...]:
     )
 
 
+def links_beyond(model: RobotModel, frame: str) -> list[int]:
+    """Return the indices of the link behind a wrist sensor and of the links that move beyond it."""
+    found = [model.wrist_sensors[frame].stop]
+    for index, joint in enumerate(model.joints):
+        if joint.parent in found:
+            found.append(index + 1)
+    return found
+
+
+def sensor_frame(sensor: str) -> str:
+    """Return the frame in ``FRAME``, ``FRAME:LINK`` or ``-FRAME:LINK``."""
+    return sensor.removeprefix("-").partition(":")[0]
+
+
 def reversed_sensor(sensor: str) -> str:
     """Return the name of the same sensor with the opposite sign."""
     return sensor[1:] if sensor.startswith("-") else f"-{sensor}"
@@ -66,7 +80,7 @@ def with_wrist_sensors(model: RobotModel, sensors: Sequence[str]) -> RobotModel:
     ModelError
         When a frame or link is unknown, or the link is not attached to the frame's link.
     """
-    frames = {one.removeprefix("-").partition(":")[0] for one in sensors}
+    frames = {sensor_frame(one) for one in sensors}
     if frames <= set(model.wrist_sensors):
         return model  # divided before
     if not model.bodies:

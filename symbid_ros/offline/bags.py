@@ -7,7 +7,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from symbid_ros.bags import bag_log, count_messages, join_names, read_streams, read_truth
+from symbid_ros.bags import (
+    bag_log,
+    count_messages,
+    join_names,
+    read_streams,
+    read_truth,
+    read_wrench_frames,
+)
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.choices import Base
 from symbid_ros.errors import EstimateError
@@ -21,11 +28,12 @@ from symbid_ros.identification.realistic_prediction import RealisticMotion, real
 from symbid_ros.identification.result import Result
 from symbid_ros.identification.rigid_sensors import RigidSensors
 from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.topics import Topic, TopicSelection, is_measured
 from symbid_ros.messages.types import IMU, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.load import as_model, is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.model.wrist_sensors import with_wrist_sensors
+from symbid_ros.model.wrist_sensors import sensor_frame, with_wrist_sensors
 from symbid_ros.options import chosen_options, robot_file_line
 from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.signals.log import Log
@@ -88,14 +96,20 @@ def open_bags(bags: Sequence[Path], robot: RobotModel | None, options: LogOption
 
 
 def with_wrench_topics(
-    options: LogOptions, robot: RobotModel, bags: Sequence[Path], *, has_contacts: bool = False
+    options: LogOptions,
+    robot: RobotModel,
+    bags: Sequence[Path],
+    *,
+    has_contacts: bool = False,
+    wrist_sensors: Sequence[str] = (),
 ) -> LogOptions:
-    """Return options that name the wrench topics of a floating robot's log if no name tells them.
+    """Return options that name the wrench topics of a robot's log if no name tells them.
 
-    Topics named ``wrench`` are used anyway. If there is none, all of that type are, unless contacts
-    of unknown wrench are named.
+    Topics named ``wrench`` are used anyway. If a floating robot's log has none, all of that type
+    are, unless contacts of unknown wrench are named. A wrist sensor's topic may have any name, if
+    it has the sensor's frame.
     """
-    if options.wrench_topic or has_contacts or not robot.floating:
+    if options.wrench_topic or not (robot.floating or wrist_sensors):
         return options
     counts = count_messages(bags)
     topics = sorted(
@@ -103,16 +117,27 @@ def with_wrench_topics(
         for topic, count in counts.items()
         if count and topic.msgtype == WRENCH and is_measured(topic.name)
     )
-    if not topics or any(name.rsplit("/", 1)[-1] == "wrench" for name in topics):
-        return options
-    logger.warning(
-        "%s: no topic is named wrench, so %s count as the forces on the robot; give `wrench_topic` "
-        "to choose, or %s",
-        join_names(bags),
-        ", ".join(topics),
-        robot_file_line("wrench_topic", *topics),
-    )
-    return replace(options, wrench_topic=tuple(topics))
+    named = [name for name in topics if name.rsplit("/", 1)[-1] == "wrench"]
+    if topics and not named and robot.floating and not has_contacts:
+        logger.warning(
+            "%s: no topic is named wrench, so %s count as the forces on the robot; give "
+            "`wrench_topic` to choose, or %s",
+            join_names(bags),
+            ", ".join(topics),
+            robot_file_line("wrench_topic", *topics),
+        )
+        return replace(options, wrench_topic=tuple(topics))
+    more: list[str] = []
+    if len(topics) > len(named) and wrist_sensors:
+        mapping = SensorMapping.of(options)
+        frames = {
+            name: mapping.frame(frame) for name, frame in read_wrench_frames(bags, topics).items()
+        }
+        lacking = {sensor_frame(one) for one in wrist_sensors} - {
+            frames.get(name) for name in named
+        }
+        more = [name for name in topics if frames.get(name) in lacking]
+    return replace(options, wrench_topic=(*named, *more)) if more else options
 
 
 def load_robot(model: Path, base: Base, bags: Sequence[Path]) -> RobotModel:
@@ -202,7 +227,13 @@ class BagRequest:
         """
         bags, options = self._without_loaded_bags()
         robot = load_robot(self.model, self.base, bags)
-        log = with_wrench_topics(self.log, robot, bags, has_contacts=bool(options.contacts))
+        log = with_wrench_topics(
+            self.log,
+            robot,
+            bags,
+            has_contacts=bool(options.contacts),
+            wrist_sensors=options.wrist_sensors,
+        )
         is_open = self.base == "auto" and not is_mjcf(self.model)
         base = "fixed" if is_open and not robot.floating else self.base
         return replace(self, bags=bags, options=options, log=log, base=base, robot=robot)

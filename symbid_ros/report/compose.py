@@ -8,6 +8,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.identification.comparison import describe_difference
 from symbid_ros.identification.evaluation import (
     Metrics,
     TrueMotion,
@@ -109,7 +110,8 @@ def compose(
     for label, one in results.items():
         if one.parameters.model.coordinates != model.coordinates:
             raise EstimateError(
-                f"{label}: its joints are not those of {chosen}; report results of one robot",
+                f"{label}: its {describe_difference(one.parameters.model, model)} of {chosen}; "
+                "report results of one robot",
                 "E512",
             )
     methods = [MethodResult(PRIOR, None, None)]
@@ -131,10 +133,16 @@ def compose(
             shown.parameters,
             shown.estimate,
             shown.summary.posture if shown.summary.is_mean_posture else None,
-            deviation_factor=shown.deviation_factor,
+            deviation_factor=shown.deviations,
         ),
-        spread=parameter_spread(shown.estimate, shown.deviations, shown.prior_std),
-        payloads=payloads(shown.estimate, shown.deviations),
+        # The gain that no residual shows would make nearly all pairs look correlated.
+        spread=parameter_spread(shown.estimate, shown.free_deviations, shown.prior_std),
+        payloads=payloads(
+            shown.estimate,
+            shown.deviations,
+            shown.parameters,
+            shown.summary.posture if shown.summary.is_mean_posture else None,
+        ),
     )
     if ground_truth is None:
         return content

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.estimate_file import load_estimate
@@ -56,18 +56,29 @@ class ReportedResult:
     given: PredictedLog | None = None
 
     @property
-    def deviations(self) -> FloatArray | None:
-        """(p, r + 1) the same factor with the deviation of the gain that no residual shows."""
+    def free_deviations(self) -> FloatArray | None:
+        """(p, r) the same factor, zero for the joint terms that were not identified."""
         if self.deviation_factor is None:
+            return None
+        return np.where(self._is_fixed[:, None], 0.0, self.deviation_factor)
+
+    @property
+    def deviations(self) -> FloatArray | None:
+        """(p, r + 1) these deviations with that of the gain that no residual shows."""
+        free = self.free_deviations
+        if free is None:
             return None
         names = self.estimate.names
         change = np.zeros(len(names))
         if self.log is not None and set(self.log.spread.names) == set(names):
             saved = dict(zip(self.log.spread.names, self.log.spread.scale_change, strict=True))
             change = np.array([saved[name] for name in names])
-        both = np.concatenate([self.deviation_factor, change[:, None]], axis=1)
-        is_fixed = np.array([name in self.estimate.fixed for name in names])
-        return np.where(is_fixed[:, None], 0.0, both)
+        return np.column_stack([free, np.where(self._is_fixed, 0.0, change)])
+
+    @property
+    def _is_fixed(self) -> BoolArray:
+        """(p,) which parameters were not identified."""
+        return np.array([name in self.estimate.fixed for name in self.estimate.names], dtype=bool)
 
     @property
     def prior_std(self) -> FloatArray | None:

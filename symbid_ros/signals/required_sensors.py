@@ -60,7 +60,10 @@ def wrist_sensor_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
         nothing = "no array of wrenches" if streams.is_arrays else "no WrenchStamped topic"
         found = f"{' and '.join(topics)} have" if topics else f"{nothing} has"
         also = f" (others have {', '.join(others)})" if others else ""
-        action = "record its topic, or correct `wrist_sensor`"
+        action = (
+            "record its topic, name it by `wrench_topic` if its name does not end in wrench, or "
+            "correct `wrist_sensor`"
+        )
         if streams.is_arrays:
             action = "give Log.from_arrays wrenches={FRAME: values}, or correct `wrist_sensor`"
         if others:

@@ -79,3 +79,22 @@ def test_names_options_fixed_bases_and_contacts_leave_them_out(
 def test_contacts_of_unknown_wrench_need_no_wrench_topic(bag_of):
     options = IdentifyOptions(contact=("left_sole", "right_sole"))
     assert BagRequest((bag_of(*FT),), MODEL, options).completed().log.wrench_topic == ()
+
+
+def test_the_topic_of_a_wrist_sensor_is_found_by_its_frame(bag_of):
+    """A topic of any other frame stays out, as does a topic beside one named wrench."""
+    robot = load_model(MODEL, "fixed")
+    frame = "left_sole"  # of all wrenches here
+    bag = bag_of(*FT)
+    for sensor, expected in ((f"-{frame}:{robot.link_names[-1]}", FT), ("other", ())):
+        found = with_wrench_topics(LogOptions(), robot, [bag], wrist_sensors=(sensor,))
+        assert found.wrench_topic == expected
+    renamed = LogOptions(rename_frame=(f"{frame}:=wrist",))
+    assert with_wrench_topics(renamed, robot, [bag], wrist_sensors=("wrist",)).wrench_topic == FT
+
+
+def test_a_topic_named_wrench_that_has_the_frame_suffices(bag_of):
+    frame = "left_sole"  # of all wrenches here
+    options, bag = LogOptions(), bag_of("/wrist/wrench", *FT)
+    robot = load_model(MODEL, "fixed")
+    assert with_wrench_topics(options, robot, [bag], wrist_sensors=(frame,)) is options

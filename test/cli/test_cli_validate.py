@@ -84,6 +84,9 @@ def test_a_result_that_is_not_better_ends_with_status_1(
     ended = symbid_here("validate", worse, "--bag", ideal)
     assert (ended.returncode, ended.stderr) == (1, "")
     assert "do not use it, it is worse than the original" in ended.stdout
+    ended = symbid_here("compare", worse, worse, "--bag", ideal)
+    assert (ended.returncode, ended.stderr) == (1, "")
+    assert "none is clearly better than the original model" in ended.stdout
 
     ranked = symbid_here("compare", worse, found, "--bag", ideal, "--json")
     assert (ranked.returncode, ranked.stderr) == (0, "")
@@ -177,10 +180,10 @@ def test_a_joint_that_neither_log_has_is_held_as_in_the_identification(
     symbid_here, wristless, wristless_result, held
 ) -> None:
     ended = symbid_here("validate", wristless_result, "--bag", wristless[1], *held)
-    assert ended.returncode == 0, ended.stderr
+    assert ended.returncode < 2, ended.stderr
     assert ended.stderr.count(f"has no joint {WRIST}, held at 0") == (not held)
     ranked = symbid_here("compare", *[wristless_result] * 2, "--bag", wristless[1], *held)
-    assert ranked.returncode == 0, ranked.stderr
+    assert ranked.returncode < 2, ranked.stderr
     assert ranked.stderr.count(f"has no joint {WRIST}, held at 0") == (not held)
 
 

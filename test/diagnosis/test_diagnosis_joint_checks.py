@@ -286,6 +286,20 @@ def test_positions_too_far_or_too_fast_for_any_joint_are_not_in_radians(high, is
         assert one.figures["hip/speed"] == pytest.approx(409.6)
 
 
+def test_degrees_that_are_wrapped_to_one_turn_are_not_encoder_counts():
+    """A joint that turns in one direction; its position in radians is wrapped, too."""
+    turn = reaching(3000.0, 0.5, 0.5)
+    for unit, is_found in ((1.0, True), (np.pi / 180, False)):
+        wrapped = unit * (np.remainder(turn.position + 180, 360) - 180)
+        joints = replace(turn, position=wrapped, velocity=unit * turn.velocity)
+        found = findings(joints, robot(lower=-np.inf))
+        units = [one for one in found if one.kind is Kind.UNIT]
+        assert len(units) == is_found
+        for one in units:
+            assert "jump by 360 between the ends of one turn, as if in degrees" in one.message
+            assert one.figures == {"hip/wraps": 8}
+
+
 @pytest.mark.parametrize(("missing", "severity"), [(500, "WARNING"), (501, "UNUSABLE")])
 def test_a_joint_without_position_in_half_of_the_messages_is_unusable(missing, severity):
     joints = swinging()

@@ -132,6 +132,12 @@ def test_topics_are_compared_with_the_whole_recording():
             MODEL,
             [(Kind.UNKNOWN_JOINT, "/joints", 1, {"joints": 2})],
         ),
+        # A second robot of the same model, beside which one joint is left.
+        (
+            {"names": (*MODEL.joint_names, *(f"right_{name}" for name in MODEL.joint_names), "x")},
+            MODEL,
+            [(Kind.UNKNOWN_JOINT, "/joints", 1, {"joints": 1})],
+        ),
         ({"imu": "head"}, MODEL, [(Kind.UNKNOWN_FRAME, "/imu", 2, {})]),
         ({"wrench": "hand"}, MODEL, [(Kind.UNKNOWN_FRAME, "/wrench", 2, {})]),
         ({"imu": ""}, MODEL, [(Kind.SILENT, "", 2, {})]),

@@ -202,7 +202,10 @@ def test_a_fixed_base_is_not_asked_for_its_total_mass() -> None:
     fixed = verdict.describe_mass_scale(floating=False)
     assert fixed.startswith("mass scale ± 1 %")
     assert "`total_mass`" not in fixed
-    assert "`force_scale_std`" in fixed
+    assert "give the standard deviation of their common gain error as `force_scale_std`" in fixed
+    stated = replace(verdict, is_scale_stated=True)
+    assert "give" not in stated.describe_mass_scale(floating=False)
+    assert "give `total_mass` to check it" in stated.describe_mass_scale()
 
 
 def test_a_weighing_that_does_not_check_the_scale_says_how_uncertain_it_is() -> None:

@@ -198,12 +198,20 @@ def test_another_load_is_part_of_the_verdict(arm) -> None:
     exact = replace(predictor, factor=0.02 * predictor.factor, noise=4e-4 * predictor.noise)
     log = AlignedLog(arm.held_out, predictor.parameters.model)
     found = validate_segments(exact, log, "log")
-    assert found.is_better
+    assert (found.is_better, found.is_recommended) == (True, False)
     assert found.verdict.startswith("better than the original, but not fit for this robot or load")
     said = re.search(r"the errors are (\d+) times as large as in the identified log", found.verdict)
     assert said is not None
     assert float(said[1]) == pytest.approx(np.sqrt(found.normalized_square), abs=0.5)
     assert "give what it carries as `payload`" in found.verdict
+    assert "alarms" not in found.verdict
+    verdict = exact.estimate.verdict
+    assert verdict is not None
+    doubtful = replace(verdict, alarms=("no joint moves; move them",))
+    doubted = replace(exact, estimate=replace(exact.estimate, verdict=doubtful))
+    said = validate_segments(doubted, log, "log").verdict
+    assert "so the identification is wrong, as its alarms say, or the robot or its load" in said
+    assert said.endswith("; alarms of its identification: no joint moves")
 
 
 def test_a_joint_whose_effort_is_not_predicted_is_part_of_the_verdict(arm) -> None:
@@ -422,6 +430,18 @@ def test_results_are_ranked_on_equal_rows(arm, tmp_path) -> None:
     alike = compare([good, arm.identified()], arm.held_out)
     assert "hardly differ" in alike.verdict
     assert compare([good], arm.held_out).verdict.startswith(f"{good}: use it")
+    assert found.recommended == str(good)
+
+
+def test_results_that_are_all_useless_are_not_recommended(arm) -> None:
+    """The one with the smallest error is no better than the model file, which was right."""
+    phi = arm.robot.phi.copy()
+    phi[-1] *= 3
+    loaded = identify(arm.robot, log_of(arm.robot.with_phi(phi), TRAINING))
+    same = identify(arm.robot, arm.training)
+    found = compare([loaded, same], arm.held_out)
+    assert found.verdict.startswith("none is clearly better than the original model: ")
+    assert found.recommended is None
 
 
 def test_a_comparison_names_the_results_that_used_its_log(arm) -> None:

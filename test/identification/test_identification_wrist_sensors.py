@@ -10,9 +10,11 @@ from documented_robots import ur5_urdf
 from payload_arm import COM, INERTIA, MASS, OFFSET, payload_arm_log
 
 from symbid_ros.diagnosis.findings import Kind
-from symbid_ros.errors import DataError
+from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import diagnose, identify
+from symbid_ros.identification.comparison import compare
+from symbid_ros.identification.report_data import load_report_data
 from symbid_ros.identification.validation import validate
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -76,6 +78,20 @@ def test_payload_arm_and_offset_are_found_together(arm, true_arm, measured):
     assert first.startswith("beyond tool0: 1.7")
     numbers = inertia.partition("zz: ")[2].removesuffix(" kg m²").split(", ")
     assert {len(one.partition(".")[2]) for one in numbers} == {6}
+
+
+def test_a_gain_that_all_sensors_share_moves_no_centre_of_mass(arm, measured):
+    """A gain of 1 % changes the mass by 1 %, not the centre of mass by 1 % of its distance."""
+    log = log_of(arm, measured, measured.wrench)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
+    own = slice(*(found.estimate.names.index(f"{FRAME}/{name}") for name in ("m", "Ixx")))
+    phi, covariance = found.estimate.value[own], found.covariance[own, own]
+    slope = np.column_stack([-phi[1:] / phi[0], np.eye(3)]) / phi[0]
+    std = np.sqrt(np.diag(slope @ covariance @ slope.T))
+    error = phi[1:] / phi[0] - COM
+    assert np.all(np.abs(error) < 4 * std)
+    assert np.all(std < 0.1 * 0.01 * np.linalg.norm(COM))
+    assert found.parameters[f"{FRAME}/m"].std == pytest.approx(0.01 * MASS, rel=0.1)
 
 
 def test_terms_chosen_by_the_data_are_those_of_joints_only(arm, measured):
@@ -173,12 +189,36 @@ def test_the_delay_of_a_sensor_is_estimated(arm, measured):
     assert errors["efforts/sensor_delay"] == pytest.approx(0, abs=3e-4)
 
 
+def check_changed_sensors(found, arm, measured):
+    """Another tare spares the links and the payload; a turned sign or another load do not."""
+    carried = measured.wrench - OFFSET
+    tare = np.array([-3.0, 2.5, -6.0, -0.1, 0.2, 0.05])
+    other = validate(found, log_of(arm, measured, measured.wrench + tare))
+    assert other.verdict.startswith(f"use it, but not its offset of {FRAME}: ")
+    (change,) = other.offsets
+    np.testing.assert_allclose(np.r_[change.force, change.moment], tare, atol=0.02)
+    assert other.is_recommended
+    assert other.coverage > 0.8
+    reversed_sign = validate(found, log_of(arm, measured, -measured.wrench))
+    assert reversed_sign.worse == (f"moment at {FRAME}", f"force at {FRAME}")
+    assert not reversed_sign.is_recommended
+    assert f" of the measured force at {FRAME}" in reversed_sign.verdict
+    heavier = validate(found, log_of(arm, measured, measured.wrench + 0.3 * carried))
+    assert not heavier.offsets
+
+
 def test_a_saved_result_predicts_the_sensor_and_merges(arm, measured, tmp_path):
     log = log_of(arm, measured, measured.wrench)
-    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST | {"no_holdout": False})
     found.save(tmp_path)
     again = validate(tmp_path, log)
     assert {one.name for one in again.coordinates} >= {f"{FRAME}/force_z", "elbow_joint"}
+    check_changed_sensors(found, arm, measured)
+    with pytest.raises(EstimateError, match=r"wrist sensors are none instead of tool0:tool0"):
+        compare([found, identify(arm, log, unchecked=True, **FAST)], log)
+    series = load_report_data(tmp_path).forces
+    of_sensor = [name.startswith(FRAME) for name in series.coordinates]
+    np.testing.assert_array_equal(np.isnan(series.speed).all(axis=0), of_sensor)
     written = load_model(tmp_path / "model.urdf", "fixed")
     np.testing.assert_allclose(written.phi, found.robot.phi, atol=1e-9)
     other = identify(arm, found.information, wrist_sensor=(FRAME,), joint_terms=("none",))

@@ -113,6 +113,13 @@ def test_exports_hold_the_robot_as_one_tree_and_the_user_file_its_own_links(arm,
     assert body.phi[0] == pytest.approx(0.6)
 
 
+def test_the_frames_that_a_message_offers_are_those_of_the_model(arm):
+    with pytest.raises(ModelError) as caught:
+        with_wrist_sensors(arm, ["ft"]).frame("nothing")
+    assert "ft" in str(caught.value)
+    assert "/moment_x" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("sensors", "message"),
     [
