@@ -240,18 +240,18 @@ def test_factors_of_all_joints_are_uncertain_if_several_err(robot, gain):
 
 @pytest.fixture(scope="module")
 def carrying():
-    """The log of an arm with right efforts and a tool that its model lacks, and that model."""
+    """The model of an arm, a log with a tool that it lacks, and the mass of the last link then."""
     robot = driven(arm(seed=0, links=6))
     links = ParameterSet(robot.with_phi(robot.phi * np.array([1.0] * 5 + [0.02])[:, None]))
     model = links.apply(draw_prior(links, "consistent", 60.0, seed=3).mean)
     phi = links.model.phi.copy()
     phi[-1] += phi_from_com(4.0, 0.12 * np.array([0.6, 0.8, 0.0]), np.zeros((3, 3)))
-    return model, log_of(robot, drives(robot.with_phi(phi), **FRICTION))
+    return model, log_of(robot, drives(robot.with_phi(phi), **FRICTION)), phi[-1, 0]
 
 
 def test_a_missing_tool_is_no_factor_of_all_efforts(carrying):
     """Masses, factors and noise that shrink together explain the log as well."""
-    model, log = carrying
+    model, log, _ = carrying
     problem = load_problem(model, log, IdentifyOptions())
     checked, _ = hold_out(problem, problem.solve().window, 0)
     assert checked.percent_after < 0.1
@@ -267,6 +267,16 @@ def test_a_missing_tool_is_no_factor_of_all_efforts(carrying):
     assert not tried  # there is nothing to explain
     assert wrong_factors(problem, noisy, by_chance) is None
     assert np.all(np.abs(tried) < 0.4)
+
+
+def test_a_missing_tool_is_named_and_leaves_the_mass_uncertain(carrying):
+    """Its first moment needs a mass, of which the motion tells nothing else."""
+    model, log, truth = carrying
+    found = sy.identify(model, log, no_holdout=True)
+    (alarm,) = (one for one in found.alarms if Alarm.HEAVY_LINK in one)
+    mass = found.parameters["link_5/m"]
+    assert alarm.startswith(f"link_5 is {mass.value / model.phi[-1, 0]:.2g} times")
+    assert abs(mass.value - truth) < 2 * mass.std
 
 
 @pytest.mark.parametrize(
