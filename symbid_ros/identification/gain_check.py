@@ -40,8 +40,8 @@ LEAST_EXCESS = 0.3
 # Above that, something else is wrong, which factors follow.
 REMAINS, UNDERSTOOD = 0.9, 10.0
 # The share with factors near 1 of all joints, and the least held-out error for which these are
-# tried, %: it is up to .2 % on simulated arms with right efforts, also if the model lacks a payload,
-# and .5 % or more with factors that err by a fifth.
+# tried, %. It is up to .2 % on simulated arms with right efforts, even if the model lacks a
+# payload, and .5 % or more with factors that err by a fifth.
 REMAINS_NEAR, LEAST_ERROR = 0.95, 0.3
 # Most of their prior deviations by which such factors may differ from 1. Without a limit, factors
 # and masses can shrink together, and the noise with them.
@@ -258,6 +258,7 @@ def _is_candidate(problem: LoadedProblem) -> bool:
     return (
         options.finds_drive_gains
         and not (model.floating or model.contacts or model.wrist_sensors or parameters.payloads)
+        and not problem.dataset.samples.wrench_frames
         and problem.solved.problem.calibrated_rows is None
         and len(named_joints(("all",), model)) > 1
     )

@@ -103,6 +103,16 @@ def test_a_sensor_that_is_not_named_is_recognised(arm, measured, caplog):
     assert "give `wrist_sensor` tool0" in caplog.text
 
 
+def test_efforts_are_right_although_a_sensor_is_not_named(arm, measured):
+    """Taken for a contact's, the wrench of a payload seems to load the joints too."""
+    log = log_of(arm, measured, measured.wrench)
+    (finding,) = diagnose(arm, log).findings
+    assert finding.kind is Kind.WRIST_SENSOR
+    found = identify(arm, log, **FAST | {"no_holdout": False})
+    assert not found.estimate.verdict.sensors
+    assert any(finding.message.partition(";")[0] in alarm for alarm in found.alarms)
+
+
 def test_without_any_effort_the_payload_is_still_found(arm, measured):
     silent = replace(measured, effort=np.full_like(measured.effort, np.nan))
     log = log_of(arm, silent, measured.wrench)
