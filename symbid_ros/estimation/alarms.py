@@ -161,7 +161,7 @@ def heavy_link_alarms(
     heavy = [
         f"{links[index]} is {after[index] / before[index]:.2g} {Alarm.HEAVY_LINK} "
         f"({before[index]:.3g} kg)"
-        for index in np.flatnonzero(is_heavy)
+        for index in np.flatnonzero(is_heavy).tolist()
     ]
     return (
         f"{', '.join(heavy)}: is a tool or payload missing there, or is the model's mass a "
