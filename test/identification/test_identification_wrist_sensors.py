@@ -171,6 +171,18 @@ def test_a_late_sensor_is_found_and_named(arm, measured):
     assert any("likely cause: delays of sensors, mostly of tool0" in one for one in found.alarms)
 
 
+def test_a_drifting_sensor_is_named(arm, measured):
+    """A random walk, as of a sensor that warms up: 2 N and 0.1 Nm at the end of the log."""
+    steps = np.random.default_rng(1).normal(size=measured.wrench.shape) / np.sqrt(
+        len(measured.time)
+    )
+    drift = np.cumsum(steps, axis=0) * np.repeat([2.0, 0.1], 3)
+    log = log_of(arm, measured, measured.wrench + drift)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST | {"window": None})
+    cause = "cause: offsets of wrist sensors that change during the log, mostly of tool0"
+    assert any(cause in one for one in found.alarms), found.alarms
+
+
 def test_the_delay_of_a_sensor_is_estimated(arm, measured):
     period = measured.time[1] - measured.time[0]
     late = max(1, round(0.008 / period))
