@@ -71,6 +71,7 @@ class Kind(Enum):
     EFFORT_DELAY = "effort_delay"
     TORQUE_SIGN = "torque_sign"
     TORQUE_GAIN = "torque_gain"
+    MISSING_BODY = "missing_body"
     EXCITATION = "excitation"
 
 
@@ -78,12 +79,12 @@ class Kind(Enum):
 OF_READINGS = (
     *(Kind.WRENCH_SIGN, Kind.WRENCH_FRAME, Kind.WRENCH_GAIN, Kind.IMU_MOUNTING, Kind.WEIGHT),
     *(Kind.CONTRADICTION, Kind.TORQUE_SIGN, Kind.TORQUE_GAIN, Kind.ENCODER_OFFSET, Kind.DELAY),
-    *(Kind.EFFORT_DELAY, Kind.EXCITATION),
+    *(Kind.MISSING_BODY, Kind.EFFORT_DELAY, Kind.EXCITATION),
 )
 # Those that efforts without signs disturb.
 OF_SIGNED_EFFORTS = (
     *(Kind.JOINT_READINGS, Kind.TORQUE_SIGN, Kind.TORQUE_GAIN, Kind.CONTRADICTION),
-    *(Kind.BASE_MOUNTING, Kind.ENCODER_OFFSET, Kind.DELAY),
+    *(Kind.BASE_MOUNTING, Kind.MISSING_BODY, Kind.ENCODER_OFFSET, Kind.DELAY),
 )
 
 

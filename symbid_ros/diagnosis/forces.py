@@ -66,11 +66,13 @@ class ForceVerdict:
     left_out: tuple[str, ...] = ()
 
     def without(self, payloads: Collection[str]) -> "ForceVerdict":
-        """Return the verdict without faults that wrenches of payloads on some topics explain."""
+        """Return the verdict without faults that wrenches of payloads on some topics explain.
+
+        Taken for those of contacts, they load every joint before the payload too.
+        """
+        explained = Kind.CONTRADICTION, Kind.TORQUE_SIGN, Kind.TORQUE_GAIN
         kept = tuple(
-            one
-            for one in self.findings
-            if one.stream not in payloads and one.kind is not Kind.CONTRADICTION
+            one for one in self.findings if one.stream not in payloads and one.kind not in explained
         )
         return replace(self, findings=kept, blamed=kept[0].kind.value if kept else "")
 

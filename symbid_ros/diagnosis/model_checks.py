@@ -16,6 +16,7 @@ from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.forces import (
     MAX_ROTATION_COST,
     MIN_EVIDENCE,
+    ForceVerdict,
     check_forces,
     reversed_imu_finding,
     rotated_imu_finding,
@@ -33,6 +34,7 @@ from symbid_ros.diagnosis.joint_efforts import (
     effort_delay_error,
     late_efforts,
 )
+from symbid_ros.diagnosis.missing_body import missing_body_finding
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stance_gyro_check import (
     DEVIATIONS,
@@ -142,6 +144,8 @@ def check_model(
     problem = statistics.problem
     gains = estimate_gains(problem)
     verdict = check_forces(statistics, gains, joints, imus, wrenches, conversions=conversions)
+    if not statistics.model.floating:
+        verdict = _with_missing_body(verdict, problem, gains, statistics)
     if payloads := {one.stream for one in checks.findings if one.kind is Kind.WRIST_SENSOR}:
         verdict = verdict.without(payloads)
     if verdict.findings and any(one.kind is Kind.DELAY for one in checks.findings):
@@ -172,6 +176,21 @@ def check_model(
         _check_delays(checks, statistics, joints, imus, wrenches)
     _check_excitation(checks, statistics, gains)
     return checks
+
+
+def _with_missing_body(
+    verdict: ForceVerdict, problem: GainProblem, gains: GainEstimate, statistics: ModelStatistics
+) -> ForceVerdict:
+    """Return the verdict with a body that the model lacks, if it explains all wrong factors."""
+    if {one.kind for one in verdict.findings} != {Kind.TORQUE_GAIN}:
+        return verdict
+    driven = gains.sensors.joint_names
+    joints = [name for name in driven for one in verdict.findings if f"{name}/reads" in one.figures]
+    topic = verdict.findings[0].stream
+    found = missing_body_finding(topic, joints, problem, gains, statistics.parameters)
+    if found is None:
+        return verdict
+    return replace(verdict, findings=(found,), blamed=Kind.MISSING_BODY.value)
 
 
 def _offset_findings(statistics: ModelStatistics, wrenches: Mapping[str, str]) -> list[Finding]:

@@ -225,7 +225,7 @@ class Estimate:
             return False
         if self.doubt:
             return False
-        spared = [Alarm.WIDENED_PRIOR, Alarm.COLOURED]
+        spared = [Alarm.WIDENED_PRIOR, Alarm.HEAVY_LINK, Alarm.COLOURED]
         if verdict.describe_drive_gains():
             spared.append(Alarm.WRONG_FACTORS)
         return all(any(kind in alarm for kind in spared) for alarm in verdict.alarms)

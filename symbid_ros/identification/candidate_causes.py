@@ -38,6 +38,9 @@ GROUPS = 4
 SHORTEST, WINDOWS_EACH = 1.0, 2
 # Columns of a support without a sensor.
 SUPPORT = 4
+# Number of cosines over the log by which each component of a wrist sensor drifts: they hold nine
+# tenths of the variance of a random walk.
+DRIFT = 6
 # Most blocks that are used, evenly spread over the log; the motion varies little beyond.
 MOST_BLOCKS = 40
 
@@ -267,7 +270,8 @@ class CandidateBuilder:
             columns = np.zeros((count, n, SUPPORT + own.shape[2]))
             columns[:, :first, :SUPPORT] = support[here]
             columns[:, first:, SUPPORT:] = own[here]
-            K = np.concatenate([part.rows.K, columns], axis=2)
+            drift = self._drift_columns(readings.stamp[here])
+            K = np.concatenate([part.rows.K, drift, columns], axis=2)
             yield replace(part, rows=Rows(K, part.rows.y))
             start += count
 
@@ -321,6 +325,26 @@ class CandidateBuilder:
         columns[:, :3, 3] = np.cross(up, sideways)
         return columns
 
+    @property
+    def _sensor_rows(self) -> list[tuple[str, int]]:
+        """Frame and coordinate of each component of the wrist sensors."""
+        model = self.parameters.model
+        return [
+            (frame, 6 * model.floating + joint)
+            for frame, place in model.wrist_sensors.items()
+            for joint in range(place.start, place.stop)
+        ]
+
+    def _drift_columns(self, stamp: IntArray) -> FloatArray:
+        """Return (N, n, k) slow changes of the offset of each component of the wrist sensors."""
+        rows, n = self._sensor_rows, self.parameters.model.dof
+        orders = np.arange(1, DRIFT + 1)
+        changes = np.cos(np.pi * orders * (self._elapsed(stamp)[:, None] + 0.5))
+        columns = np.zeros((len(stamp), n, len(rows), DRIFT))
+        for index, (_, row) in enumerate(rows):
+            columns[:, row, index] = changes
+        return columns.reshape(len(stamp), n, -1)
+
     def _elapsed(self, stamp: IntArray) -> FloatArray:
         """Return the time (N,) since the middle of the log, as shares of the log."""
         first, last = self.span
@@ -334,6 +358,10 @@ class CandidateBuilder:
         found = []
         own = K.shape[2] - len(self.effects) - 1
         found.append(Candidate("support", ("base",), K[:, :, own - SUPPORT : own]))
+        if rows := self._sensor_rows:
+            owners = tuple(frame for frame, _ in rows for _ in range(DRIFT))
+            start = own - SUPPORT - len(owners)
+            found.append(Candidate("sensor_drift", owners, K[:, :, start : own - SUPPORT]))
         for index, kind in enumerate(self.effects):
             column = K[:, :, own + index, None]
             diagonal = np.eye(len(joints), model.dof, first).T

@@ -67,6 +67,7 @@ EFFECTS = {
     "joint_axis": "directions of joint axes",
     "frame_pose": "frames of sensors",
     "wrench_offset": "offsets of the wrench sensors",
+    "sensor_drift": "offsets of wrist sensors that change during the log",
     "wrench_gain": "gains of the wrench sensors",
     "wrench_position": "positions of the wrench sensors",
     "support": "a support without a sensor, such as a cable",
@@ -79,6 +80,7 @@ ADVICE = {
     "effort_delay": "remove the delay or filter of these drives' readings",
     "support": "remove it, or record its force as a wrench",
     "warming": WARM,
+    "sensor_drift": "let the sensor warm up, or give a shorter part with `start` and `stop`",
 }
 
 

@@ -50,6 +50,7 @@ BIASING = frozenset(
         Kind.WRENCH_GAIN,
         Kind.WRENCH_OFFSET,
         Kind.UNSIGNED_EFFORT,
+        Kind.WRIST_SENSOR,
     }
 )
 # Rotations of an IMU up to this angle, degrees, can be estimated with the robot.

@@ -8,7 +8,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Method
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.alarms import alarms
+from symbid_ros.estimation.alarms import HEAVY_DEVIATIONS, alarms, heavy_link_alarms
 from symbid_ros.estimation.change import discounted_pseudo_measurements
 from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.estimation.estimate import Estimate
@@ -140,6 +140,7 @@ class SolvedProblem:
         return (
             *self.problem.alarms,
             *self._mass_alarms(value),
+            *self._heavy_link_alarms(value),
             *alarms(
                 self.posterior,
                 value,
@@ -160,6 +161,20 @@ class SolvedProblem:
         before, after = self.problem.prior.mean[masses], value[masses]
         std = float(np.linalg.norm(self.posterior.deviation_factor[masses].sum(axis=0)))
         return contact_alarms(self.problem.parameters.model, before, after, std)
+
+    def _heavy_link_alarms(self, value: FloatArray) -> tuple[str, ...]:
+        """Return the alarm about links that weigh far more than the prior allows.
+
+        A wrist sensor is there to weigh what the model lacks.
+        """
+        parameters = self.problem.parameters
+        if parameters.model.wrist_sensors:
+            return ()
+        masses = slice(0, parameters.inertial, 10)
+        std = np.linalg.norm(self.posterior.prior_factor[masses], axis=1)
+        return heavy_link_alarms(
+            parameters.link_names, self.problem.prior.mean[masses], value[masses], std
+        )
 
     @property
     def _measurements(self) -> PseudoMeasurements | None:
@@ -223,6 +238,20 @@ class SolvedProblem:
             drive_bounds(parameters, self.chosen),
         ).value
 
+    def _unexpected_change(self, value: FloatArray) -> FloatArray:
+        """Return the change of each parameter (p,) that is undetermined and contradicts its prior.
+
+        It is zero for others. The deviation of an undetermined parameter is the prior's, which is
+        too small if the data or limits of possible links move the parameter by many of these: a
+        link with a large first moment needs a mass, of which the data may tell nothing else.
+        """
+        found, p = self.posterior, len(self.problem.parameters)
+        change = np.abs(value - found.prior.mean)[:p]
+        before = np.linalg.norm(found.prior_factor[:p], axis=1)
+        is_unexpected = (change > HEAVY_DEVIATIONS * before) & (found.std[:p] > DETERMINED * before)
+        is_unexpected[self.problem.parameters.inertial :] = False
+        return np.where(is_unexpected, change, 0.0)
+
     def _gaussian(self, method: Method, value: FloatArray, *, with_verdict: bool) -> Identification:
         found, problem = self.posterior, self.problem
         p = len(problem.parameters)
@@ -231,6 +260,7 @@ class SolvedProblem:
         if gain is not None:
             change = gain.std * gain.direction[:p]
             std = np.hypot(std, np.where(self._scaled_parameters, change, 0.0))
+        std = np.hypot(std, self._unexpected_change(value))
         verdict = None
         if with_verdict:
             verdict = assess(

@@ -10,6 +10,8 @@ import symbid_ros as sy
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.gain_check import Trial, wrong_factors
+from symbid_ros.identification.holdout import hold_out
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import ForcePredictor
@@ -22,10 +24,13 @@ FACTORS = np.array([3.0, -0.2, 15.0])
 FRICTION = {"viscous": 0.4, "coulomb": 0.8}
 
 
+def driven(robot):
+    return replace(robot, joints=tuple(replace(one, effort=np.inf) for one in robot.joints))
+
+
 @pytest.fixture(scope="module")
 def robot():
-    robot = arm(seed=2)
-    return replace(robot, joints=tuple(replace(one, effort=np.inf) for one in robot.joints))
+    return driven(arm(seed=2))
 
 
 @pytest.fixture(scope="module")
@@ -243,6 +248,47 @@ def test_factors_of_all_joints_are_uncertain_if_several_err(robot, gain):
     assert found.estimate.holdout.percent_after < 0.1 * kept.estimate.holdout.percent_after
     stated = sy.identify(model, log, drive_gain="all", drive_gain_percent=20.0)
     np.testing.assert_allclose(factors(stated), factors(found), rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def carrying():
+    """The model of an arm, a log with a tool that it lacks, and the mass of the last link then."""
+    robot = driven(arm(seed=0, links=6))
+    links = ParameterSet(robot.with_phi(robot.phi * np.array([1.0] * 5 + [0.02])[:, None]))
+    model = links.apply(draw_prior(links, "consistent", 60.0, seed=3).mean)
+    phi = links.model.phi.copy()
+    phi[-1] += phi_from_com(4.0, 0.12 * np.array([0.6, 0.8, 0.0]), np.zeros((3, 3)))
+    return model, log_of(robot, drives(robot.with_phi(phi), **FRICTION)), phi[-1, 0]
+
+
+def test_a_missing_tool_is_no_factor_of_all_efforts(carrying):
+    """Masses, factors and noise that shrink together explain the log as well."""
+    model, log, _ = carrying
+    problem = load_problem(model, log, IdentifyOptions())
+    checked, _ = hold_out(problem, problem.solve().window, 0)
+    assert checked.percent_after < 0.1
+    noisy = replace(checked, percent_after=1.0)
+    tried = []
+
+    def by_chance(other):
+        found = other.solve()
+        tried.append([one.value for one in found.estimate.verdict.sensors])
+        return Trial(other, found, replace(checked, percent_after=0.5), None)
+
+    assert wrong_factors(problem, checked, by_chance) is None
+    assert not tried  # there is nothing to explain
+    assert wrong_factors(problem, noisy, by_chance) is None
+    assert np.all(np.abs(tried) < 0.4)
+
+
+def test_a_missing_tool_is_named_and_leaves_the_mass_uncertain(carrying):
+    """Its first moment needs a mass, of which the motion tells nothing else."""
+    model, log, truth = carrying
+    found = sy.identify(model, log, no_holdout=True)
+    (alarm,) = (one for one in found.alarms if Alarm.HEAVY_LINK in one)
+    mass = found.parameters["link_5/m"]
+    assert alarm.startswith(f"link_5 is {mass.value / model.phi[-1, 0]:.2g} times")
+    assert abs(mass.value - truth) < 2 * mass.std
 
 
 @pytest.mark.parametrize(

@@ -119,6 +119,16 @@ def test_a_sensor_that_is_not_named_is_recognised(arm, measured, caplog):
     assert "give `wrist_sensor` tool0" in caplog.text
 
 
+def test_efforts_are_right_although_a_sensor_is_not_named(arm, measured):
+    """Taken for a contact's, the wrench of a payload seems to load the joints too."""
+    log = log_of(arm, measured, measured.wrench)
+    (finding,) = diagnose(arm, log).findings
+    assert finding.kind is Kind.WRIST_SENSOR
+    found = identify(arm, log, **FAST | {"no_holdout": False})
+    assert not found.estimate.verdict.sensors
+    assert any(finding.message.partition(";")[0] in alarm for alarm in found.alarms)
+
+
 def test_without_any_effort_the_payload_is_still_found(arm, measured):
     silent = replace(measured, effort=np.full_like(measured.effort, np.nan))
     log = log_of(arm, silent, measured.wrench)
@@ -175,6 +185,18 @@ def test_a_late_sensor_is_found_and_named(arm, measured):
     assert not diagnose(arm, late_log(arm, measured, 0), wrist_sensor=(FRAME,)).findings
     found = identify(arm, log, wrist_sensor=(FRAME,), **FAST | {"window": None})
     assert any("likely cause: delays of sensors, mostly of tool0" in one for one in found.alarms)
+
+
+def test_a_drifting_sensor_is_named(arm, measured):
+    """A random walk, as of a sensor that warms up: 2 N and 0.1 Nm at the end of the log."""
+    steps = np.random.default_rng(1).normal(size=measured.wrench.shape) / np.sqrt(
+        len(measured.time)
+    )
+    drift = np.cumsum(steps, axis=0) * np.repeat([2.0, 0.1], 3)
+    log = log_of(arm, measured, measured.wrench + drift)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST | {"window": None})
+    cause = "cause: offsets of wrist sensors that change during the log, mostly of tool0"
+    assert any(cause in one for one in found.alarms), found.alarms
 
 
 def test_the_delay_of_a_sensor_is_estimated(arm, measured):

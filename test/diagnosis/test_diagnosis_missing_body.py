@@ -1,0 +1,48 @@
+"""A body that the model lacks is told from wrong factors of efforts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drive_logs import arm, drives, log_of
+
+from symbid_ros.diagnosis.findings import Kind
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.api import diagnose
+from symbid_ros.model.inertia import phi_from_com
+from symbid_ros.model.parameters import ParameterSet
+
+FRICTION = {"viscous": 0.02, "coulomb": 0.05}
+TOOL = 2.0
+
+
+def light_wrist(seed):
+    """Return an arm whose last link is light, and a model of it with errors of 20 %."""
+    robot = arm(seed=seed, links=6)
+    robot = replace(robot, joints=tuple(replace(one, effort=np.inf) for one in robot.joints))
+    links = ParameterSet(robot.with_phi(robot.phi * np.array([1.0] * 5 + [0.02])[:, None]))
+    return links.model, links.apply(draw_prior(links, "consistent", 20.0, seed=3).mean)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_missing_tool_is_no_factor_of_the_wrists_efforts(seed):
+    robot, model = light_wrist(seed)
+    phi = robot.phi.copy()
+    phi[-1] += phi_from_com(TOOL, np.array([0.1, 0.0, 0.0]), np.zeros((3, 3)))
+    found = diagnose(model, log_of(robot, drives(robot.with_phi(phi), **FRICTION)))
+    (finding,) = found.findings
+    assert finding.kind is Kind.MISSING_BODY
+    assert "at link_5 that the model lacks" in finding.message
+    assert finding.figures["mass_kg"] == pytest.approx(TOOL, rel=0.25)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("factor", [0.4, 2.5])
+def test_a_wrong_factor_is_no_body(seed, factor):
+    robot = arm(seed=seed, links=6)
+    robot = replace(robot, joints=tuple(replace(one, effort=np.inf) for one in robot.joints))
+    gain = np.array([1.0, 1.0, 1.0, 1.0, 1 / factor])
+    found = diagnose(robot, log_of(robot, drives(robot, viscous=0.4, coulomb=0.8), gain=gain))
+    assert Kind.MISSING_BODY not in {one.kind for one in found.findings}
+    reads = [one.figures.get("joint_4/reads") for one in found.findings]
+    assert any(one == pytest.approx(factor, rel=0.05) for one in reads), found.findings
