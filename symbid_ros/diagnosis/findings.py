@@ -48,6 +48,7 @@ class Kind(Enum):
     VELOCITY = "velocity"
     UNSIGNED_EFFORT = "unsigned_effort"
     EFFORT_NOISE = "effort_noise"
+    FOLLOWER_EFFORT = "follower_effort"
     MISSING_JOINT = "missing_joint"
     UNKNOWN_JOINT = "unknown_joint"
     REORDERED_JOINTS = "reordered_joints"
