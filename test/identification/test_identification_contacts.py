@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from live_feed import feed_of
-from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
+from quadruped_log import FEET, RATE, quadruped_urdf, record_log, standing_log
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
@@ -19,6 +19,7 @@ from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.joint_terms import _any_slips
 from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.term_remarks import resting_joints
 from symbid_ros.identification.validation import validate
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
@@ -286,6 +287,11 @@ def test_the_friction_of_legs_that_stand_may_be_chosen(robot, true_robot):
     segments = AlignedLog(log_of(robot, rubbing), parameters.model)
     observations = fold_dataset(segments, "log", parameters, Processing(windows=(0.081,)))
     assert _any_slips(observations.observations, parameters)
+    # Each of them has enough rows, which are not those of its own coordinate.
+    assert not resting_joints(observations.observations[0].slipping, parameters).any()
+    second = [joined_segments(segments)[0].cut(0, int(RATE))]
+    brief = fold_dataset(second, "log", parameters, Processing(windows=(0.081,)))
+    assert resting_joints(brief.observations[0].slipping, parameters).all()
 
 
 def test_windows_that_leave_a_leg_hardly_any_row_are_not_chosen(robot, true_robot):
