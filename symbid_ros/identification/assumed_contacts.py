@@ -15,7 +15,7 @@ from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import ModelError
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.robot_options import RobotOptions
-from symbid_ros.model.tree import Frame, RobotModel
+from symbid_ros.model.tree import AT_CENTER, Frame, RobotModel
 from symbid_ros.signals.alignment import warn_once
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
@@ -138,7 +138,8 @@ def _lowest_ends(robot: RobotModel, segments: Sequence[Segment]) -> tuple[str, .
 def chain_ends(robot: RobotModel) -> list[Frame]:
     """Return a frame at the end of each chain of joints.
 
-    Of frames that are named like a foot, or else of all, it is the farthest ball, or frame.
+    It is the farthest ball, or else frame, of those that are named like a foot, or else of all. A
+    frame named like a foot may also mean the ball in which it lies.
     """
     carrying = {joint.parent for joint in robot.joints}
     ends = []
@@ -146,10 +147,16 @@ def chain_ends(robot: RobotModel) -> list[Frame]:
         frames = [frame for frame in robot.frames if frame.link == link]
         feet = [frame for frame in frames if FOOT_WORDS.search(frame.name)]
         own = robot.frame(robot.link_names[link])
-        candidates = [*(feet or frames), own]
-        balls = [frame for frame in candidates if frame.radius]
-        ends.append(max(balls or candidates, key=_reach))
+        balls = [one for one in frames if one.radius and (not feet or _has_any_in(one, feet))]
+        balls = [foot for foot in feet if foot.radius] or balls
+        ends.append(max(balls or [*(feet or frames), own], key=_reach))
     return ends
+
+
+def _has_any_in(ball: Frame, frames: list[Frame]) -> bool:
+    """Return whether the origin of a frame is in a ball, or on it."""
+    reach = ball.radius + AT_CENTER
+    return any(np.linalg.norm(one.translation - ball.translation) < reach for one in frames)
 
 
 def leg_ends(robot: RobotModel) -> tuple[str, ...]:

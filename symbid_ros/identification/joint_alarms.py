@@ -27,7 +27,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
 
 # Share of a joint's measured effort (RMS) above which its residual counts as all of it, fewest
-# rows, and largest share of the noise of averaged efforts.
+# rows, and largest share of noise in averaged efforts.
 ALL, FEWEST_ROWS, NOISE = 0.9, 20, 0.1
 # The same share for a joint whose friction could not be judged, which may be what is missing.
 MUCH = 0.3
@@ -119,7 +119,7 @@ def _unpredicted(
     alarms, unjudged = {}, {}
     for name, size in doubted.items():
         index = model.joint_names.index(name)
-        if is_resting[index] or efforts.noise_share(index, rows.window) > NOISE:
+        if is_resting[index] or efforts.averaged_noise(index, rows.window) > NOISE * size:
             continue
         unit = "Nm" if model.joints[index].kind == "revolute" else "N"
         if name in short:
@@ -146,7 +146,7 @@ class _Efforts:
     Attributes
     ----------
     noise : (J,) float64
-        RMS noise over the RMS effort.
+        RMS noise, Nm (N).
     correlation : (J,) float64
         Of effort and velocity.
     rate : float
@@ -161,7 +161,7 @@ class _Efforts:
     def of(cls, segments: Iterable[Segment], model: RobotModel) -> "_Efforts":
         """Return the statistics of a log."""
         square, power, motion, bend = np.zeros((4, len(model.joints)))
-        rate = 0.0
+        rate, count = 0.0, 0
         for segment in segments:
             effort = np.nan_to_num(segment.effort)
             velocity = np.gradient(segment.position, axis=0) * segment.rate
@@ -171,10 +171,11 @@ class _Efforts:
             # White noise of variance σ² has second differences of variance 6 σ².
             bend += np.sum(np.diff(effort, n=2, axis=0) ** 2, axis=0) / 6
             rate = segment.rate
+            count += len(effort)
         size = np.maximum(square, 1e-300)
         correlation = power / np.sqrt(size * np.maximum(motion, 1e-300))
-        return cls(np.sqrt(bend / size), correlation, rate)
+        return cls(np.sqrt(bend / max(count, 1)), correlation, rate)
 
-    def noise_share(self, joint: int, window: float) -> float:
-        """Return the share of noise in a joint's efforts, averaged over windows of length in s."""
+    def averaged_noise(self, joint: int, window: float) -> float:
+        """Return the RMS noise of a joint's efforts, averaged over windows of length in s."""
         return float(self.noise[joint] / np.sqrt(max(self.rate * window, 1.0)))

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import COULOMB_SPEED, equation_of_motion
+from symbid_ros.dynamics.unmeasured_contacts import combined_coordinates
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import random_motions
 from symbid_ros.model.parameters import ParameterSet
@@ -22,15 +23,30 @@ def resting_joints(slipping: Observations | None, parameters: ParameterSet) -> B
     """Return which driven joints (d,) have too few rows in which they slip to judge friction."""
     if slipping is None:
         return np.zeros(len(parameters.joints), dtype=bool)
-    rows = 6 * parameters.model.floating + parameters.joints
+    rows = _rows_of_joints(slipping, parameters)
     is_driven = ~np.isin(parameters.joints, list(parameters.model.followers))
     few = slipping.counts.diagonal()[rows] < _needed_rows(slipping, parameters)
     return np.asarray(is_driven & few)
 
 
+def _rows_of_joints(slipping: Observations, parameters: ParameterSet) -> IntArray:
+    """Return the coordinate (d,) in whose rows the friction of each joint is seen most often.
+
+    Unknown contacts leave combined rows, which contain the friction of all joints that they load.
+    """
+    model = parameters.model
+    rows: IntArray = 6 * model.floating + parameters.joints
+    combined = np.array(combined_coordinates(model), dtype=np.int64)
+    if model.contacts is None or not len(combined):
+        return rows
+    most = combined[np.argmax(slipping.counts.diagonal()[combined])]
+    is_loaded = np.asarray(model.contacts.loads.any(axis=0))[rows]
+    return np.where(is_loaded, most, rows)
+
+
 def _needed_rows(slipping: Observations, parameters: ParameterSet) -> FloatArray:
     """Return the rows (d,) of each joint without which its friction cannot be judged."""
-    rows = 6 * parameters.model.floating + parameters.joints
+    rows = _rows_of_joints(slipping, parameters)
     return np.maximum(slipping.needed_rows[rows], FEWEST_SLIPPING)
 
 
@@ -54,7 +70,7 @@ def resting_remarks(
         seconds, speed = needed[own].max(), COULOMB_SPEED[is_slide]
         if model.contacts is not None:  # a row contains the friction of several joints
             remarks.append(
-                f"{names}: less than {seconds:.2g} s of usable rows in which all joints of a row "
+                f"{names}: less than {seconds:.2g} s of usable rows in which most joints of a row "
                 f"move faster than {speed:g} {unit}, too little to judge friction"
             )
             continue

@@ -17,7 +17,14 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import ModelError
 from symbid_ros.model.inertia import is_consistent, pseudo_inertia, transform_phi
-from symbid_ros.model.tree import Frame, Joint, Link, Mimic, RobotModel
+from symbid_ros.model.tree import (
+    Frame,
+    Joint,
+    Link,
+    Mimic,
+    RobotModel,
+    with_radii_of_balls,
+)
 
 # Changes below this share of a link's largest parameters are rounding.
 ROUNDING = 1e-12
@@ -181,7 +188,7 @@ def assemble(
     links = tuple(
         Link(*fields) for fields in zip(assembly.names, assembly.phi, assembly.virtual, strict=True)
     )
-    frames = tuple(assembly.frames[key] for key in sorted(assembly.frames))
+    frames = with_radii_of_balls(assembly.frames.values())
     return RobotModel(name, links, joints, frames, floating, gravity, source, tuple(bodies))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.model.rotation import rotation_from_xyzw
-from symbid_ros.model.tree import Frame, RobotModel
+from symbid_ros.model.tree import Frame, RobotModel, with_radii_of_balls
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,7 @@ def with_fixed_frames(model: RobotModel, transforms: Collection[FixedTransform])
             reached.append(one.child)
     if not added:
         return model
-    frames = sorted([*model.frames, *added], key=lambda frame: frame.name)
-    return replace(model, frames=tuple(frames))
+    return replace(model, frames=with_radii_of_balls([*model.frames, *added]))
 
 
 def with_frames_of(model: RobotModel, other: RobotModel) -> RobotModel:

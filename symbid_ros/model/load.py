@@ -107,12 +107,17 @@ def _report_ignored(path: Path, model: RobotModel) -> None:
     ]
     names = [each.get("name", f"<{each.tag}>") for group in found.values() for each in group]
     if names:
+        follows = [
+            f"{model.joint_names[joint]} follows {model.joint_names[mimic.leader]}"
+            for joint, mimic in model.followers.items()
+        ]
         tags = " and ".join(f"<{tag}>" for tag, group in found.items() if group)
         logger.warning(
-            "%s: %s are ignored: %s; the joints are assumed to move independently",
+            "%s: %s are ignored: %s; the joints are assumed to move independently%s",
             path,
             tags,
             ", ".join(names),
+            f", except that {', '.join(follows)}" if follows else "",
         )
     bodies = [one for one in root.iter("body") if _is_above_zero(one, "gravcomp")]
     if bodies:

@@ -14,7 +14,7 @@ from symbid_ros.model.bodies import Body, BodyJoint, assemble
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.mjcf_source import Shapes, read_mjcf, reduced_mjcf
 from symbid_ros.model.rotation import rotation_from_quaternion
-from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.tree import AT_CENTER, RobotModel
 from symbid_ros.model.xml_file import Element, as_element
 
 
@@ -22,7 +22,8 @@ def load_mjcf(path: Path, base: Base = "auto") -> RobotModel:
     """Load an MJCF: its only moving tree, with bodies as links and sites as frames.
 
     Where a branch of the tree ends in one ball that can touch something, such as a foot, its centre
-    is a frame, too: it has the shape's name, or ``BODY_end``.
+    is a frame, too: it has the shape's name, or ``BODY_end`` if the shape has none or another
+    frame has it. Of several balls it is the one whose centre a site marks.
 
     A joint follows another one, as URDF's mimic joints do, where an active ``<equality><joint>``
     with a linear ``polycoef`` says so: ``joint1`` follows ``joint2``, or the reverse if only
@@ -209,24 +210,41 @@ class _Reader:
     def _ball(self, body: int) -> tuple[dict[str, tuple[FloatArray, FloatArray]], dict[str, float]]:
         """Return the frame and the radius of the only ball of a body, if nothing moves beyond it.
 
-        The ball can touch things. It may be the far end of a capsule.
+        The ball can touch things. It may be the far end of a capsule. Of several balls it is the
+        only one whose centre a site marks. A site with the name of the shape is its frame.
         """
         m = self.m
         touches = (m.geom_contype != 0) | (m.geom_conaffinity != 0)
         shapes = np.flatnonzero((m.geom_bodyid == body) & touches)
         kinds = m.geom_type[shapes]
-        balls = shapes[kinds == (self.SPHERE if self.SPHERE in kinds else self.CAPSULE)]
+        balls = shapes[kinds == (self.SPHERE if self.SPHERE in kinds else self.CAPSULE)].tolist()
+        if len(balls) > 1:
+            balls = [ball for ball in balls if self._marks(ball)]
         if body in self._carrying or len(balls) != 1:
             return {}, {}
-        (ball,) = balls.tolist()
-        center, size = np.array(m.geom_pos[ball]), np.array(m.geom_size[ball])
+        (ball,) = balls
+        radius, name = float(m.geom_size[ball, 0]), m.geom(ball).name
+        if name in self._marks(ball):
+            return {}, {name: radius}
+        names = name, f"{self.names[body]}_end"
+        name = next((one for one in names if one and one not in self._frame_names), "")
+        return ({name: (np.eye(3), self._center(ball))}, {name: radius}) if name else ({}, {})
+
+    def _marks(self, ball: int) -> list[str]:
+        """Return the sites at the centre of a ball."""
+        center = self._center(ball)
+        sites = self._sites[int(self.m.geom_bodyid[ball])].items()
+        return [name for name, (_, at) in sites if np.linalg.norm(at - center) < AT_CENTER]
+
+    def _center(self, ball: int) -> FloatArray:
+        """Return the centre of a sphere, or that of the far end of a capsule."""
+        m = self.m
+        center = np.array(m.geom_pos[ball])
         if m.geom_type[ball] == self.CAPSULE:
-            half = size[1] * rotation_from_quaternion(np.array(m.geom_quat[ball]))[:, 2]
+            axis = rotation_from_quaternion(np.array(m.geom_quat[ball]))[:, 2]
+            half = m.geom_size[ball, 1] * axis
             center = max(center + half, center - half, key=np.linalg.norm)
-        name = m.geom(ball).name or f"{self.names[body]}_end"
-        if name in self._frame_names:
-            return {}, {}
-        return {name: (np.eye(3), center)}, {name: float(size[0])}
+        return center
 
     @cached_property
     def _carrying(self) -> set[int]:

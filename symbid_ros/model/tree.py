@@ -1,6 +1,6 @@
 """A robot as a tree of links joined by revolute and prismatic joints."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 # Between a frame and the link that a wrench given in it acts on, if that is another one.
 ON_LINK = "@"
 STANDARD_GRAVITY = np.array([0.0, 0.0, -9.81])
+AT_CENTER = 1e-3  # m between a frame's origin and the centre of its ball
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,25 @@ class Frame:
     rotation: FloatArray
     translation: FloatArray
     radius: float = 0.0
+
+
+def with_radii_of_balls(frames: Iterable[Frame]) -> tuple[Frame, ...]:
+    """Return frames sorted by name, of which all at the centre of a ball have its radius."""
+    frames = sorted(frames, key=lambda frame: frame.name)
+    balls = [frame for frame in frames if frame.radius]
+
+    def radius(frame: Frame) -> float:
+        near = (ball.radius for ball in balls if _distance(frame, ball) < AT_CENTER)
+        return frame.radius or next(near, 0.0)
+
+    return tuple(replace(frame, radius=radius(frame)) for frame in frames)
+
+
+def _distance(first: Frame, second: Frame) -> float:
+    """Return the distance of two frames' origins, m; infinite between links."""
+    if first.link != second.link:
+        return np.inf
+    return float(np.linalg.norm(first.translation - second.translation))
 
 
 @dataclass(frozen=True)

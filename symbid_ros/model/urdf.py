@@ -15,7 +15,7 @@ from symbid_ros.errors import ModelError
 from symbid_ros.model.bodies import Body, BodyJoint, assemble
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.rotation import rotation_from_rpy
-from symbid_ros.model.tree import STANDARD_GRAVITY, RobotModel
+from symbid_ros.model.tree import AT_CENTER, STANDARD_GRAVITY, RobotModel
 from symbid_ros.model.xml_file import LARGEST, MAX_DEPTH, place, read_xml
 
 _MOVING: dict[str, Literal["revolute", "prismatic"]] = {
@@ -26,7 +26,6 @@ _MOVING: dict[str, Literal["revolute", "prismatic"]] = {
 # Stands for no limit: urdfdom requires finite numbers.
 UNLIMITED = 1e9
 _SHORTEST_AXIS = 1e-9
-AT_ORIGIN = 1e-3  # m between a frame's origin and the centre of its ball
 _PRODUCTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -173,7 +172,7 @@ class UrdfReader:
         if len(balls) != 1 or balls[0][1] < 0:
             return body
         ((center, radius),) = balls
-        if not body.joints and np.linalg.norm(center) < AT_ORIGIN:
+        if not body.joints and np.linalg.norm(center) < AT_CENTER:
             return replace(body, balls={body.name: radius})
         end = f"{body.name}_end"
         if end in self.links:

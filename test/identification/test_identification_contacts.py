@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from live_feed import feed_of
-from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
+from quadruped_log import FEET, RATE, quadruped_urdf, record_log, standing_log
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
@@ -14,11 +14,12 @@ from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.aligned_log import AlignedLog, joined_segments
 from symbid_ros.identification.api import diagnose, identify
-from symbid_ros.identification.assumed_contacts import assumed_contacts
+from symbid_ros.identification.assumed_contacts import assumed_contacts, chain_ends
 from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.joint_terms import _any_slips
 from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.term_remarks import resting_joints
 from symbid_ros.identification.validation import validate
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
@@ -111,6 +112,13 @@ def test_a_robot_without_wrench_sensors_is_assumed_to_stand_on_its_legs(
     path.write_text(text)
     on_balls = tuple(f"{foot}:0.02" for foot in FEET)
     assert assumed_contacts(load_model(path), log) == on_balls
+    # A frame named like a foot does not hide the ball that it is on, but one far from it does.
+    for depth, ends in ((0.26, {"LF_KFE_link_end": 0.02}), (0.2, {"LF_foot": 0.0})):
+        shape = f'<collision><origin xyz="0 0 -{depth}"/><geometry><sphere radius="0.02"/>'
+        shape = f'<link name="LF_KFE_link">{shape}</geometry></collision>'
+        path.write_text(quadruped_urdf().replace('<link name="LF_KFE_link">', shape))
+        found = {one.name: one.radius for one in chain_ends(load_model(path))}
+        assert found.items() >= ends.items()
     # Nothing is assumed of wrenches that are measured, and of efforts that are not.
     assert assumed_contacts(robot, log_of(robot, readings, feet=FEET[:1])) == ()
     silent = np.full_like(readings["/joint_states"]["effort"], np.nan)
@@ -279,6 +287,11 @@ def test_the_friction_of_legs_that_stand_may_be_chosen(robot, true_robot):
     segments = AlignedLog(log_of(robot, rubbing), parameters.model)
     observations = fold_dataset(segments, "log", parameters, Processing(windows=(0.081,)))
     assert _any_slips(observations.observations, parameters)
+    # Each of them has enough rows, which are not those of its own coordinate.
+    assert not resting_joints(observations.observations[0].slipping, parameters).any()
+    second = [joined_segments(segments)[0].cut(0, int(RATE))]
+    brief = fold_dataset(second, "log", parameters, Processing(windows=(0.081,)))
+    assert resting_joints(brief.observations[0].slipping, parameters).all()
 
 
 def test_windows_that_leave_a_leg_hardly_any_row_are_not_chosen(robot, true_robot):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from drive_logs import arm, drives, log_of
+from drive_logs import RATE, arm, drives, log_of
 
 import symbid_ros as sy
 from symbid_ros.estimation.alarms import Alarm
@@ -19,3 +19,19 @@ def test_only_a_robot_with_several_joints_can_confuse_them(links, asks_for_the_j
     alarms = sy.identify(robot, log, unchecked=True).alarms
     (told,) = [one for one in alarms if Alarm.UNPREDICTED_EFFORT in one and "joint_0" in one]
     assert ("which joint" in told) is asks_for_the_joint
+
+
+@pytest.mark.parametrize("terms", ["auto", "viscous"])
+def test_a_small_effort_under_white_noise_is_no_alarm(terms) -> None:
+    robot = arm(seed=5)
+    joints = log_of(robot, drives(robot, viscous=0.4), seed=1).streams().joints
+    time = 1e-9 * (joints.stamp - joints.stamp[0])
+    effort = joints.effort.copy()
+    # Averages over windows are noise mostly, although it is a tenth of that in single samples.
+    window = 0.64
+    assert RATE * window > 100
+    noise = np.random.default_rng(0).normal(size=len(time))
+    effort[:, -1] += 30 * effort[:, -1].std() * noise
+    log = sy.Log.from_arrays(robot, time=time, position=joints.position, effort=effort)
+    found = sy.identify(robot, log, unchecked=True, window=window, joint_terms=terms)
+    assert not found.alarms

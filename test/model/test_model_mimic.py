@@ -238,6 +238,7 @@ def test_joints_coupled_in_a_circle_are_read_once(tmp_path, caplog):
     assert load_model(tmp_path / "hand.xml").measured_joint_names == ("l",)
     assert "<equality> are ignored: " in caplog.text
     assert len(caplog.records) == 1
+    assert "move independently, except that t follows l, r follows l" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -126,7 +126,7 @@ CAPSULE = '<geom name="shin" type="capsule" size="0.03 0.1" pos="0 0 -0.1"/>'
         (BALL.format("") + body("toe", joint=HINGE.format("toe")), None, 0, 0),
         ('<geom type="box" size="0.1 0.1 0.1"/>', None, 0, 0),
         # The name is that of another frame.
-        (BALL.format('name="base" '), None, 0, 0),
+        (BALL.format('name="base" '), "leg_end", -0.3, 0.02),
     ],
 )
 def test_the_ball_at_the_end_of_a_leg_is_a_frame(tmp_path, shapes, frame, place, radius):
@@ -140,6 +140,34 @@ def test_the_ball_at_the_end_of_a_leg_is_a_frame(tmp_path, shapes, frame, place,
     assert found[frame].radius == radius
     assert robot.link_names[found[frame].link] == "leg"
     np.testing.assert_allclose(found[frame].translation, [0, 0, place], atol=1e-12)
+
+
+SITE = '<site name="{}" pos="0 0 {}"/>'
+
+
+@pytest.mark.parametrize(
+    ("inside", "radii"),
+    [
+        # As in the file of Unitree's Go1: shape and site share their name.
+        (BALL.format('name="FR" ') + SITE.format("FR", -0.3), {"FR": 0.02}),
+        (BALL.format('name="FR" ') + SITE.format("FR", -0.2), {"FR": 0, "leg_end": 0.02}),
+        (
+            BALL.format('name="FR" ') + SITE.format("foot", -0.3009) + SITE.format("shin", -0.302),
+            {"FR": 0.02, "foot": 0.02, "shin": 0},
+        ),
+        # Of two balls, that at a site.
+        (2 * BALL.format("") + SITE.format("foot", -0.3), {"foot": 0}),
+        (
+            BALL.format("") + '<geom size="0.01"/>' + SITE.format("foot", -0.3),
+            {"foot": 0.02, "leg_end": 0.02},
+        ),
+        # A welded body at the centre.
+        (body("foot", '<geom size="0.02"/>', pos="0 0 -0.3"), {"foot": 0.02, "foot_end": 0.02}),
+    ],
+)
+def test_frames_at_the_centre_of_a_ball_have_its_radius(tmp_path, inside, radii):
+    robot = loaded(tmp_path, body("base", body("leg", inside, HINGE.format("hip")), FREE))
+    assert {one.name: one.radius for one in robot.frames} == radii
 
 
 def test_a_shape_that_cannot_be_compiled_is_left_out(tmp_path):

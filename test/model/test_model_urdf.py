@@ -6,6 +6,7 @@ import pytest
 from expected_errors import raises_code
 
 from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.fixed_frames import FixedTransform, with_fixed_frames
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -104,6 +105,23 @@ def test_the_ball_at_the_end_of_a_leg_is_a_frame(tmp_path, shin, foot, expected)
     )
     found = {one.name: (one.radius, one.translation[2]) for one in robot.frames}
     assert found == {name: pytest.approx(values) for name, values in expected.items()}
+
+
+def test_frames_at_the_centre_of_a_ball_have_its_radius(tmp_path):
+    """Also those that a log adds, as on /tf_static."""
+    robot = loaded(
+        tmp_path,
+        link("trunk", INERTIAL),
+        link("shin", INERTIAL + ball(0.03, "0 0 -.2")),
+        link("foot"),
+        link("sole"),
+        joint("knee", "trunk", "shin"),
+        joint("ankle", "shin", "foot", "fixed", '<origin xyz="0 0 -0.2"/>'),
+        joint("rubber", "shin", "sole", "fixed", '<origin xyz="0 0 -0.23"/>'),
+    )
+    added = FixedTransform("sole", "sensor", np.eye(3), np.array([0, 0, 0.03]))
+    radii = {one.name: one.radius for one in with_fixed_frames(robot, [added]).frames}
+    assert radii == {"foot": 0.03, "sensor": 0.03, "shin_end": 0.03, "sole": 0}
 
 
 def test_inertias_are_in_the_axes_of_their_origin(tmp_path):
