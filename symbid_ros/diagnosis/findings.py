@@ -46,6 +46,7 @@ class Kind(Enum):
     GRAVITY = "gravity"
     TWO_PUBLISHERS = "two_publishers"
     VELOCITY = "velocity"
+    STAMP_RATE = "stamp_rate"
     UNSIGNED_EFFORT = "unsigned_effort"
     EFFORT_NOISE = "effort_noise"
     MISSING_JOINT = "missing_joint"

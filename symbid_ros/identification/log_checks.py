@@ -40,6 +40,7 @@ BIASING = frozenset(
     {
         Kind.ACCELEROMETER_GAIN,
         Kind.GYROSCOPE_GAIN,
+        Kind.STAMP_RATE,
         Kind.JITTER,
         Kind.IMU_MOUNTING,
         Kind.ENCODER_OFFSET,
