@@ -57,6 +57,7 @@ class Kind(Enum):
     UNREADABLE = "unreadable"
     # Against the model.
     WEIGHT = "weight"
+    MISSING_WRENCH = "missing_wrench"
     CONTRADICTION = "contradiction"
     BASE_MOUNTING = "base_mounting"
     MISSING_INERTIA = "missing_inertia"

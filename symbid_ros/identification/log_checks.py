@@ -43,6 +43,7 @@ BIASING = frozenset(
         Kind.STAMP_RATE,
         Kind.JITTER,
         Kind.IMU_MOUNTING,
+        Kind.MISSING_WRENCH,
         Kind.ENCODER_OFFSET,
         Kind.DELAY,
         Kind.EFFORT_DELAY,
