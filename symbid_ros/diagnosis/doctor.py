@@ -10,6 +10,7 @@ from symbid_ros.diagnosis.model_checks import (
     with_rotation_line,
 )
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
+from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks, fatal_finding, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
@@ -94,6 +95,8 @@ class _LogDiagnoser:
         if unusable(self.streams.named):
             return
         _check_frames(self.first, streams)
+        # As an identification leaves these out; to the model they would look like other faults.
+        streams, _ = mask_faulty_messages(streams)
         try:
             with warn_once(muted=True):
                 segments = align_checked(streams, model)

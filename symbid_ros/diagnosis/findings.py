@@ -46,6 +46,7 @@ class Kind(Enum):
     GRAVITY = "gravity"
     TWO_PUBLISHERS = "two_publishers"
     VELOCITY = "velocity"
+    STAMP_RATE = "stamp_rate"
     UNSIGNED_EFFORT = "unsigned_effort"
     EFFORT_NOISE = "effort_noise"
     FOLLOWER_EFFORT = "follower_effort"
@@ -58,6 +59,7 @@ class Kind(Enum):
     UNREADABLE = "unreadable"
     # Against the model.
     WEIGHT = "weight"
+    MISSING_WRENCH = "missing_wrench"
     CONTRADICTION = "contradiction"
     BASE_MOUNTING = "base_mounting"
     MISSING_INERTIA = "missing_inertia"

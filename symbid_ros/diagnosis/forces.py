@@ -269,7 +269,7 @@ def _unexplained(
         f"{wrenches} do not balance the model's weight: {100 * left:.0f} % of {weight:.0f} N is "
         "unexplained by any sign, frame or gain",
         "record the wrench of every contact, or name those without a sensor in `contact`, and "
-        "check the IMU's frame",
+        "check the IMU's frame and for a joint's position with a wrong sign",
     )
     factor = unit_of(weight / statistics.carried) if statistics.carried > 0 else None
     if factor is not None:

@@ -421,15 +421,15 @@ class JointCheck:
                 )
                 off &= ~like
         places = np.flatnonzero(off & ((scale < SCALES[0]) | (scale > SCALES[1]))).tolist()
-        what = "units and gear ratios of both"
+        kind, what = Kind.VELOCITY, "units and gear ratios of both"
         if self._has_common_scale(scale[off]):
             places = np.flatnonzero(off).tolist()
-            what = "the rate of the stamps, then units and gear ratios"
+            kind, what = Kind.STAMP_RATE, "the rate of the stamps, then units and gear ratios"
         if places:
             found.append(
                 Finding.of(
                     self.topic,
-                    Kind.VELOCITY,
+                    kind,
                     f"velocity of {self._list_names(places)} is "
                     f"{float(np.median(scale[places])):.3g} times the rate of change of the "
                     f"position; check {what}",

@@ -34,6 +34,7 @@ from symbid_ros.diagnosis.joint_efforts import (
     effort_delay_error,
     late_efforts,
 )
+from symbid_ros.diagnosis.like_limbs import limbs_without_sensor
 from symbid_ros.diagnosis.missing_body import missing_body_finding
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stance_gyro_check import (
@@ -98,6 +99,8 @@ def excitation(statistics: ModelStatistics, left: FloatArray) -> Excitation:
 LEAST_MOVING = 0.2
 # Delays that differ by less than this share of their mean count as equal.
 ALIKE = 0.5
+# What a contact without a sensor looks like.
+OF_MISSING_WRENCH = Kind.WEIGHT, Kind.CONTRADICTION, Kind.ENCODER_OFFSET
 OF_FORCES = "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation"
 TOO_SHORT = "every part of the log without a gap is too short"
 DEPEND_ON_IMU = "they depend on the IMU, whose mounting or unit is wrong"
@@ -135,6 +138,32 @@ def check_model(
     conversions : SignConversions
         What the user's options have changed already.
     """
+    checks = _check_in_order(statistics, joints, imus, wrenches, conversions)
+    disturbed = [one.severity for one in checks.findings if one.kind in OF_MISSING_WRENCH]
+    limbs = limbs_without_sensor(statistics.model, statistics.gains.wrench_frames)
+    if disturbed and limbs:
+        checks.findings.insert(0, _missing_wrench(limbs, max(disturbed)))
+    return checks
+
+
+def _missing_wrench(limbs: Sequence[str], severity: Severity) -> Finding:
+    """Return the finding of limbs without a sensor that others of the same joints have."""
+    text = (
+        f"the log has no wrench at {', '.join(limbs)}, although it has one at each other limb with "
+        "the same joints: if it touches the ground, this explains the other findings; record its "
+        "wrench, or name it in `contact`"
+    )
+    return Finding(Kind.MISSING_WRENCH, "", severity, text)
+
+
+def _check_in_order(
+    statistics: ModelStatistics,
+    joints: str,
+    imus: Sequence[str],
+    wrenches: Mapping[str, str],
+    conversions: SignConversions,
+) -> ModelChecks:
+    """Check the statistics of a log; a fault that disturbs later checks ends them."""
     checks = ModelChecks()
     _check_wrist_sensors(checks, statistics, wrenches)
     _check_imus(checks, statistics, imus)

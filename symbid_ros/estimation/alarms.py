@@ -9,7 +9,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.directions import count_determined
 from symbid_ros.estimation.mass_scale import weighing_residual
 from symbid_ros.estimation.posterior import Posterior, PseudoMeasurements
-from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
+from symbid_ros.estimation.unexplained import UnexplainedForce
 
 # Largest factor on the prior's deviations by evidence. Above it, prior, kinematics or sensors are
 # wrong. A factor below 1 is harmless, as the prior is then only too wide.
@@ -74,7 +74,7 @@ def is_coloured(whiteness: float, unexplained: Sequence[UnexplainedForce]) -> bo
     coordinate with few rows, such as a joint of a leg that seldom swings, hardly adds to the
     whiteness.
     """
-    is_large = not unexplained or unexplained[0].share > SMALL
+    is_large = not unexplained or not unexplained[0].is_small
     is_correlated = whiteness > SUSPICIOUS_WHITENESS and is_large
     return is_correlated or any(one.is_clearly_large for one in unexplained)
 

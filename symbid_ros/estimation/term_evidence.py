@@ -40,8 +40,10 @@ LEAST_GAIN = 0.5
 COMMON = 5.0
 FEWEST_ALIKE = 6
 
-# Terms by which a coupled drive is found; its armature resembles the links' inertias.
 FRICTION: tuple[Term, ...] = ("viscous", "coulomb")
+# Terms by which a coupled drive is found. The rotor of one with little friction shows by its
+# armature: unless the joints are parallel, no link has its inertia in both rows.
+DRIVE: tuple[Term, ...] = (*FRICTION, "armature")
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -241,13 +243,13 @@ class Effect:
     positive: tuple[int, ...] = ()
 
 
-def coupled_friction(parameters: ParameterSet) -> dict[Coupling, Effect]:
-    """Return the effects of all couplings: friction of a drive that several joints turn."""
+def coupled_drives(parameters: ParameterSet) -> dict[Coupling, Effect]:
+    """Return the effects of all couplings: friction and armature of a drive of several joints."""
     first, effects = 6 * parameters.model.floating, {}
     for coupling, columns in parameters.coupling_columns.items():
-        friction = tuple(columns[term] for term in FRICTION if term in columns)
+        own = tuple(columns[term] for term in DRIVE if term in columns)
         coordinates = tuple(first + joint for joint in coupling.joints)
-        effects[coupling] = Effect(friction, coordinates, positive=friction)
+        effects[coupling] = Effect(own, coordinates, positive=own)
     return effects
 
 
@@ -339,7 +341,7 @@ def predictive_effects(
 def _with_effect(found: Posterior, free: BoolArray, effect: Effect) -> BoolArray | None:
     """Return the free parameters (p,) with an effect; None if what must be positive is not.
 
-    If all columns must be positive, as those of friction, one may do without the others: a part of
+    If all columns must be positive, as those of drives, some may do without the others: a part of
     them resembles other terms, as Coulomb friction does Stribeck friction.
     """
     columns, positive = np.array(effect.columns), np.array(effect.positive, dtype=np.int64)
@@ -352,8 +354,9 @@ def _with_effect(found: Posterior, free: BoolArray, effect: Effect) -> BoolArray
         return more, of_sign[_conditional(found, more)[0][of_sign] < 0]
 
     more, negative = some(columns)
-    if len(negative) and len(positive) == len(columns):
-        more, negative = some(np.setdiff1d(columns, negative))
+    while len(negative) and len(positive) == len(effect.columns):
+        columns = np.setdiff1d(columns, negative)
+        more, negative = some(columns)
     added = np.any(more & ~free)
     return more if added and not len(negative) else None
 

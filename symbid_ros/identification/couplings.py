@@ -8,7 +8,7 @@ prediction of rows that are left out are added one by one.
 import logging
 from dataclasses import replace
 
-from symbid_ros.estimation.term_evidence import coupled_friction, predictive_effects
+from symbid_ros.estimation.term_evidence import coupled_drives, predictive_effects
 from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.solved_problem import SolvedProblem
@@ -47,7 +47,7 @@ def find_couplings(solved: SolvedProblem, dataset: Dataset) -> tuple[Coupling, .
     trial = try_columns(solved, training, dataset.source, parameters, slips=True)
     if trial is None:
         return ()
-    effects = coupled_friction(parameters)
+    effects = coupled_drives(parameters)
     couplings = predictive_effects(trial.found, trial.chosen, effects, trial.free)
     for one in couplings:
         logger.warning(

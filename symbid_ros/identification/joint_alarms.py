@@ -78,7 +78,13 @@ def with_explained_alarms(
         depends = {one.message for one in problem.checks.findings if one.kind in OF_READINGS}
         alarms = [one for one in alarms if one not in depends]
         alarms.insert(0, readings.alarm + (FOLLOWS if alarms else ""))
-        named = {*readings.exchanged, *readings.reversed_joints, *readings.reversed_efforts}
+        named = {
+            *readings.exchanged,
+            *readings.exchanged_positions,
+            *readings.exchanged_efforts,
+            *readings.reversed_joints,
+            *readings.reversed_efforts,
+        }
     if at_rest := [name for name in resting if name not in named]:
         alarms.append(resting_alarm(at_rest))
     alarms += [alarm for name, alarm in unpredicted.items() if name not in named]

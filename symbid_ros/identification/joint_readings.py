@@ -6,7 +6,7 @@ from itertools import combinations, islice
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.diagnosis.findings import Finding, Kind
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.identification.loose_fit import LooseFit, LooseRows, loose_rows, some_blocks
@@ -35,6 +35,8 @@ DRIVEN, MOST_OF_IT = 0.5, 0.5
 CERTAIN = 3.0
 # Efforts of so many joints and more are called those of all joints, if they are.
 FEWEST_OF_ALL = 3
+# What to do if either positions or efforts are exchanged, which no option corrects.
+OWN_NAMES = "publish each position and effort under the name of its own joint"
 # Signs of position and effort that are tried for each joint.
 REVERSALS = (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)
 # The same with measured wrenches: one with the wrong sign, as of a payload, looks like an effort
@@ -50,8 +52,8 @@ class JointReadings:
     ----------
     names : tuple of str
         Joints of the model.
-    order : (J,) int64
-        Whose readings in the log are those of each joint.
+    order, effort_order : (J,) int64
+        Whose position and whose effort in the log are those of each joint.
     position, effort : (J,) float64
         Signs of the readings.
     unexplained : float
@@ -62,6 +64,7 @@ class JointReadings:
 
     names: tuple[str, ...]
     order: IntArray
+    effort_order: IntArray
     position: FloatArray
     effort: FloatArray
     unexplained: float = 1.0
@@ -70,14 +73,33 @@ class JointReadings:
     @classmethod
     def unchanged(cls, names: tuple[str, ...]) -> "JointReadings":
         """Return readings that are those of the joints."""
-        ones = np.ones(len(names))
-        return cls(names, np.arange(len(names)), ones, ones)
+        ones, order = np.ones(len(names)), np.arange(len(names))
+        return cls(names, order, order, ones, ones)
 
     @property
     def exchanged(self) -> dict[str, str]:
         """Names of joints in the model, by their names in the log."""
-        pairs = zip(self.order.tolist(), self.names, strict=True)
-        return {self.names[read]: own for read, own in pairs if self.names[read] != own}
+        return self._named((self.order != self._own) & (self.order == self.effort_order))
+
+    @property
+    def exchanged_positions(self) -> tuple[str, ...]:
+        """Joints that have the position of another joint, and not its effort."""
+        alone = (self.order != self._own) & (self.order != self.effort_order)
+        return tuple(self._named(alone).values())
+
+    @property
+    def exchanged_efforts(self) -> tuple[str, ...]:
+        """Joints that have the effort of another joint, and not its position."""
+        alone = (self.effort_order != self._own) & (self.order != self.effort_order)
+        return tuple(self._named(alone).values())
+
+    @property
+    def _own(self) -> IntArray:
+        return np.arange(len(self.names))
+
+    def _named(self, some: BoolArray) -> dict[str, str]:
+        """Return the names of some joints, by the names of those whose position they have."""
+        return {self.names[self.order[i]]: self.names[i] for i in np.flatnonzero(some)}
 
     @property
     def reversed_joints(self) -> dict[str, bool]:
@@ -98,13 +120,14 @@ class JointReadings:
 
     @property
     def are_positions_right(self) -> bool:
-        """Whether efforts alone are reversed, if any reading is wrong."""
-        return not self.exchanged and not self.reversed_joints
+        """Whether efforts alone are reversed, and none exchanged, if any reading is wrong."""
+        is_exchanged = (self.order != self._own) | (self.effort_order != self._own)
+        return not (is_exchanged.any() or self.reversed_joints)
 
     @property
     def changed(self) -> int:
         """Number of joints whose readings are changed."""
-        is_changed = self.order != np.arange(len(self.order))
+        is_changed = (self.order != self._own) | (self.effort_order != self._own)
         return int(np.sum(is_changed | (self.position < 0) | (self.effort < 0)))
 
     def applied_to(self, segment: Segment) -> Segment:
@@ -112,14 +135,20 @@ class JointReadings:
         return replace(
             segment,
             position=segment.position[:, self.order] * self.position,
-            effort=segment.effort[:, self.order] * self.effort,
+            effort=segment.effort[:, self.effort_order] * self.effort,
         )
 
     def with_exchanged(self, one: int, other: int) -> "JointReadings":
         """Return the readings with those of two joints exchanged."""
         order = self.order.copy()
         order[[one, other]] = order[[other, one]]
-        return replace(self, order=order)
+        return replace(self.with_exchanged_efforts(one, other), order=order)
+
+    def with_exchanged_efforts(self, one: int, other: int) -> "JointReadings":
+        """Return the readings with the efforts of two joints exchanged."""
+        order = self.effort_order.copy()
+        order[[one, other]] = order[[other, one]]
+        return replace(self, effort_order=order)
 
     def with_reversed(self, joint: int, position: float, effort: float) -> "JointReadings":
         """Return the readings with those of a joint times these signs."""
@@ -132,8 +161,13 @@ class JointReadings:
     def fault(self) -> str:
         """What the log exchanges or reverses."""
         said = []
-        if self.exchanged:
-            said.append(f"the log exchanges {', '.join(self.exchanged)}")
+        exchanged = {
+            "": tuple(self.exchanged),
+            "positions alone of ": self.exchanged_positions,
+            "efforts alone of ": self.exchanged_efforts,
+        }
+        if parts := [f"{what}{', '.join(names)}" for what, names in exchanged.items() if names]:
+            said.append(f"the log exchanges {' and '.join(parts)}")
         groups = {
             what: [name for name, is_effort in self.reversed_joints.items() if is_effort == whole]
             for whole, what in (
@@ -159,15 +193,26 @@ class JointReadings:
         return {option: given for option, given in values.items() if given}
 
     @property
+    def _needs_driver(self) -> bool:
+        """Whether positions or efforts alone are exchanged, which only the driver can correct."""
+        return bool(self.exchanged_positions or self.exchanged_efforts)
+
+    @property
     def alarm(self) -> str:
         """The fault and the options that correct it, for an identification."""
         pairs = ((option, one) for option, values in self.options.items() for one in values)
-        return f"{self.fault}; give {' '.join(f'`{option}` {one}' for option, one in pairs)}"
+        given = " ".join(f"`{option}` {one}" for option, one in pairs)
+        advice = [OWN_NAMES] * self._needs_driver + [f"give {given}"] * bool(given)
+        return f"{self.fault}; {', and '.join(advice)}"
 
     def finding(self, topic: str) -> Finding:
         """Return the doctor's finding about the topic of the joint states."""
-        lines = (robot_file_line(option, *values) for option, values in self.options.items())
-        text = f"{self.fault}; correct the driver or the model, or write {' and '.join(lines)}"
+        lines = [robot_file_line(option, *values) for option, values in self.options.items()]
+        if self._needs_driver:
+            advice = ", and ".join([OWN_NAMES, *(f"write {one}" for one in lines)])
+        else:
+            advice = f"correct the driver or the model, or write {' and '.join(lines)}"
+        text = f"{self.fault}; {advice}"
         return Finding.of(topic, Kind.JOINT_READINGS, text, {})
 
 
@@ -324,9 +369,13 @@ def _likelier(
 def _changes(
     readings: JointReadings, moving: Sequence[int], reversals: Sequence[tuple[float, float]]
 ) -> Iterator[tuple[JointReadings, int | None]]:
-    """Yield readings with a pair of joints exchanged or a joint reversed, and the latter joint."""
+    """Yield readings with a pair of joints exchanged or a joint reversed, and the latter joint.
+
+    Of a pair, both positions and efforts are exchanged, or the efforts alone.
+    """
     for one, other in combinations(moving, 2):
         yield readings.with_exchanged(one, other), None
+        yield readings.with_exchanged_efforts(one, other), None
     for joint in moving:
         for signs in reversals:
             yield readings.with_reversed(joint, *signs), joint

@@ -40,8 +40,10 @@ BIASING = frozenset(
     {
         Kind.ACCELEROMETER_GAIN,
         Kind.GYROSCOPE_GAIN,
+        Kind.STAMP_RATE,
         Kind.JITTER,
         Kind.IMU_MOUNTING,
+        Kind.MISSING_WRENCH,
         Kind.ENCODER_OFFSET,
         Kind.DELAY,
         Kind.EFFORT_DELAY,

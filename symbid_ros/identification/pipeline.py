@@ -3,6 +3,7 @@
 from contextlib import suppress
 from dataclasses import replace
 
+from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate import HoldOut
@@ -97,7 +98,10 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
         last = (*wrist_sensor_alarms(problem), *last)
     if not model.floating and motionless_joints(problem.dataset.samples.position, model).all():
         last = (*last, NO_MOTION)
-    found = found.with_alarms((*found.alarms, *last))
+    alarms = (*found.alarms, *last)
+    # A wrong rate of the stamps makes inertias and friction wrong, and other alarms follow from it.
+    of_clock = {one.message for one in problem.checks.findings if one.kind is Kind.STAMP_RATE}
+    found = found.with_alarms(tuple(sorted(alarms, key=lambda one: one not in of_clock)))
     if forces is None:
         forces = _predict_end(problem, found, log.begin)
     found = replace(

@@ -31,10 +31,11 @@ from symbid_ros.model.load import load_identified_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.warming import warming_in
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows, sampled_rows
-from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.segments import Segment, fingerprint
 from symbid_ros.signals.sensor_drift import final_drifts, is_drift
 from symbid_ros.signals.sensor_errors import ALL_KINDS, DRIVE_GAIN, PLACE, SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base, build_samples
@@ -253,7 +254,9 @@ class ForcePredictor:
         """
         settings = self.settings
         if settings.filter != "weak":
-            yield from self._filtered_rows(joined_segments(segments), source)
+            joined = joined_segments(segments)
+            own = self if not joined else self._in_log_of(*joined)
+            yield from own._filtered_rows(joined, source)
             return
         if not settings.window:
             raise EstimateError(
@@ -265,12 +268,27 @@ class ForcePredictor:
         for segment in segments:
             check_windows(windows, segment.rate, source)
             first = first or segment
-            build, correct = self._builders(first, source)
+            build, correct = self._in_log_of(segment)._builders(first, source)
             main = windowed_rows(segment, build, windows, ())
             beside = windowed_rows(segment, correct, windows, ())
             for (rows,), (other,) in zip(main, beside, strict=True):
                 effort, gravity, noise = np.moveaxis(other.mean.K, 2, 0)
                 yield PredictionRows(rows.stamp, rows.mean, rows.valid, effort, gravity, noise)
+
+    def _in_log_of(self, *segments: Segment) -> "ForcePredictor":
+        """Return the predictor of segments of one log.
+
+        Friction that changes during the identified log is that at its end in other logs. Stamps do
+        not tell logs apart, since those of a simulation start at zero, nor does a single second,
+        since two runs may start alike.
+        """
+        if not self.parameters.warming:
+            return self
+        seconds = frozenset[int]().union(*map(fingerprint, segments))
+        if 2 * len(seconds & self.seconds) > min(len(seconds), len(self.seconds)):
+            return self
+        warm = warming_in(self.parameters.names, self.parameters.model)
+        return replace(self, parameters=replace(self.parameters, warming=warm))
 
     def _noise_at(self, rate: float) -> FloatArray:
         """Return the variance (n,) of a row's residual in a log of another rate, Hz.

@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.estimation.alarms import SUSPICIOUS_NOISE, SUSPICIOUS_WHITENESS
 from symbid_ros.estimation.estimate import Estimate, HoldOut
-from symbid_ros.estimation.unexplained import SMALL
+from symbid_ros.estimation.unexplained import SMALL, SMALL_OF_OWN
 from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.formatting import ABSENT, fixed, shared_decimals, significant, with_std
@@ -93,11 +93,14 @@ def _unexplained_entries(verdict: Verdict) -> tuple[SummaryEntry, ...]:
     if not verdict.unexplained:
         return ()
     worst = verdict.unexplained[0]
+    share, small = worst.share, SMALL
+    if worst.is_clear_in_weak_joint:
+        share, small = worst.own_share, SMALL_OF_OWN
     return (
         SummaryEntry(
             "Unexplained force",
-            f"{significant(100 * worst.share)} %",
-            f"at most, apart from noise: {worst}; small below {100 * SMALL:g} %",
+            f"{significant(100 * share)} %",
+            f"at most, apart from noise: {worst}; small below {100 * small:g} %",
             is_alarm=verdict.is_coloured,
         ),
     )

@@ -220,7 +220,7 @@ def test_a_load_that_the_model_lacks_is_no_unit(tmp_path) -> None:
     setup = setup_with_efforts(tmp_path, loaded, 1.0, friction=0.02, resting=resting)
     assert not {"effort_scale", "drive_gain"} & set(setup.options)
     said = [line for lines in setup.comments.values() for line in lines]
-    assert any("lacks a tool or payload" in line for line in said)
+    assert any("add the tool or payload to the model" in line for line in said)
     assert not setup.is_usable
 
 

@@ -240,6 +240,16 @@ def test_saturated(judged, topic, name, column, label) -> None:
     assert label in found.message
 
 
+def test_a_saturated_force_does_not_look_like_another_fault(judged) -> None:
+    """Its messages are left out of the checks against the model."""
+
+    def operation(messages: Messages) -> None:
+        force = messages.records["wrench.force"]
+        force[:, 2] = np.minimum(force[:, 2], np.quantile(force[:, 2], 0.6))
+
+    only(judged({LEFT: operation}), Kind.SATURATED, LEFT, Severity.WARNING)
+
+
 def test_quaternion_norm(judged) -> None:
     def operation(messages: Messages) -> None:
         messages.records["orientation"][:500] *= 1.01

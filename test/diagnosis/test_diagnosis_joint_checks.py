@@ -65,18 +65,18 @@ def test_noise_and_wrapped_angles_are_not_two_publishers():
     ("scale", "kind", "severity", "says"),
     [
         (1.24, None, None, ""),
-        (1.26, Kind.VELOCITY, Severity.WARNING, "velocity of all joints is 1.26 times"),
+        (1.26, Kind.STAMP_RATE, Severity.WARNING, "velocity of all joints is 1.26 times"),
         (0.81, None, None, ""),
-        (0.79, Kind.VELOCITY, Severity.WARNING, "check the rate of the stamps"),
+        (0.79, Kind.STAMP_RATE, Severity.WARNING, "check the rate of the stamps"),
         (-0.3, Kind.VELOCITY, Severity.UNUSABLE, "opposite signs"),
         (1.29 * DEGREES, Kind.UNIT, Severity.WARNING, "velocities of all joints are 57.3 times"),
-        (1.31 * DEGREES, Kind.VELOCITY, Severity.WARNING, "times the rate"),
+        (1.31 * DEGREES, Kind.STAMP_RATE, Severity.WARNING, "times the rate"),
         (DEGREES / 1.29, Kind.UNIT, Severity.WARNING, "velocities of all joints"),
-        (DEGREES / 1.31, Kind.VELOCITY, Severity.WARNING, "times the rate"),
+        (DEGREES / 1.31, Kind.STAMP_RATE, Severity.WARNING, "times the rate"),
         (1.29 / DEGREES, Kind.UNIT, Severity.UNUSABLE, "positions of all joints are 57.3 times"),
-        (1.31 / DEGREES, Kind.VELOCITY, Severity.WARNING, "times the rate"),
+        (1.31 / DEGREES, Kind.STAMP_RATE, Severity.WARNING, "times the rate"),
         (1 / DEGREES / 1.29, Kind.UNIT, Severity.UNUSABLE, "positions of all joints"),
-        (1 / DEGREES / 1.31, Kind.VELOCITY, Severity.WARNING, "times the rate"),
+        (1 / DEGREES / 1.31, Kind.STAMP_RATE, Severity.WARNING, "times the rate"),
     ],
 )
 def test_the_scale_of_velocities_is_judged(scale, kind, severity, says):
@@ -93,7 +93,8 @@ def test_the_scale_of_velocities_is_judged(scale, kind, severity, says):
 def test_only_velocities_that_match_are_judged(correlation, is_found, sign):
     scale = 3.0 * sign
     found = findings(swinging(scale, 3.0 * np.sqrt(1 / correlation**2 - 1)))
-    assert [one.kind for one in found] == [Kind.VELOCITY] * is_found
+    kind = Kind.STAMP_RATE if sign > 0 else Kind.VELOCITY
+    assert [one.kind for one in found] == [kind] * is_found
 
 
 @pytest.mark.parametrize(("rms", "is_found"), [(0.0195, False), (0.0205, True)])

@@ -4,6 +4,7 @@ import copy
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
+from symbid_ros.diagnosis.like_limbs import limbs_without_sensor
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments, fit_gyro
 from symbid_ros.estimation.prior import draw_prior
@@ -308,8 +310,21 @@ def test_noise_of_wrenches_is_named_where_it_may_be_the_cause(judged) -> None:
 
 
 def test_a_foot_without_its_sensor(judged) -> None:
-    (finding,) = judged(lambda log: log.pop(FIRST)).findings
-    assert finding.kind in (Kind.CONTRADICTION, Kind.WEIGHT)
+    """It comes first, since what follows would be blamed on other sensors."""
+    first, other = judged(lambda log: log.pop(FIRST)).findings
+    assert first.kind is Kind.MISSING_WRENCH
+    assert f"no wrench at {FIRST.split('/')[1]}," in first.message
+    assert other.kind in (Kind.CONTRADICTION, Kind.WEIGHT)
+    assert first.severity is other.severity
+
+
+def test_limbs_with_the_same_joints_are_alike(model) -> None:
+    assert limbs_without_sensor(model, FEET[:2]) == tuple(
+        foot for foot in (frame.name for frame in model.frames) if foot in FEET[2:]
+    )
+    assert limbs_without_sensor(model, FEET) == ()
+    assert limbs_without_sensor(model, FEET[:1]) == ()  # a single sensor may be the only one
+    assert limbs_without_sensor(replace(model, floating=False), FEET[:2]) == ()
 
 
 @pytest.mark.parametrize("topic", [f"/{foot}/wrench" for foot in FEET[::3]])

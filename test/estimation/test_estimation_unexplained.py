@@ -98,6 +98,22 @@ def test_a_large_error_of_one_coordinate_with_few_rows_raises_an_alarm():
     assert not is_coloured(white, unexplained_forces(*logs(lasting)[:3], UNITS))
 
 
+def test_a_clear_error_of_a_weak_joint_is_not_small():
+    """Its share of the largest force is far below that which raises an alarm for other joints."""
+    above, below = 1.01 * SUSPICIOUS_WHITENESS, 0.99 * SUSPICIOUS_WHITENESS
+    weak = UnexplainedForce("wrist", "Nm", 0.01, 0.1, 0.4 * SMALL, deviations=6.0)
+    strong = UnexplainedForce("knee", "Nm", 0.2, 50.0, 0.9 * SMALL, deviations=6.0)
+    assert is_coloured(above, (weak, strong))
+    assert not is_coloured(below, (weak, strong))
+    for other in (
+        replace(weak, deviations=3.0),  # chance
+        replace(weak, size=0.004),  # small by itself as well
+        replace(weak, share=0.05 * SMALL),  # rounding errors of a joint without load
+        strong,
+    ):
+        assert not is_coloured(above, (other, strong))
+
+
 def test_a_small_error_that_lasts_comes_before_larger_ones_that_may_be_chance():
     lasting, noise = np.zeros(8), np.ones(8)
     lasting[7], noise[[6, 7]] = 0.2, (30.0, 0.05)

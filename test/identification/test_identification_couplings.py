@@ -70,6 +70,18 @@ def test_a_shared_drive_with_friction_of_another_shape_is_found(robot, label):
     assert found.estimate.holdout.percent_after < 5.0
 
 
+def test_a_shared_drive_with_a_rotor_and_without_friction_is_found(robot, label):
+    def rotor(velocity, acceleration):
+        return ARMATURE * (acceleration @ DRIVE)[:, None] * DRIVE
+
+    log = log_of(robot, drives(robot, viscous=0.4, coulomb=0.8), extra=rotor)
+    found = sy.identify(robot, log, unchecked=True)
+    assert found.estimate.joint_terms[label] == ("armature",)
+    one = found.parameters[f"{label}/armature"]
+    assert abs(one.value - ARMATURE) < max(4 * one.std, 0.02 * ARMATURE)
+    assert not found.alarms
+
+
 def test_a_named_coupling_is_identified(robot, log, label):
     result = sy.identify(robot, log, unchecked=True, no_holdout=True, coupling=label)
     is_right(result, label)

@@ -1,5 +1,7 @@
 """Alarms about joints whose efforts a model does not predict."""
 
+import re
+
 import numpy as np
 import pytest
 from drive_logs import RATE, arm, drives, log_of
@@ -35,3 +37,19 @@ def test_a_small_effort_under_white_noise_is_no_alarm(terms) -> None:
     log = sy.Log.from_arrays(robot, time=time, position=joints.position, effort=effort)
     found = sy.identify(robot, log, unchecked=True, window=window, joint_terms=terms)
     assert not found.alarms
+
+
+def test_stamps_of_a_wrong_rate_come_before_other_alarms() -> None:
+    """Ten times too fast, they make accelerations a hundred times too large."""
+    robot = arm(seed=2, links=4)
+    joints = log_of(robot, drives(robot, viscous=0.4, coulomb=0.8)).streams().joints
+    velocity = np.gradient(joints.position, 1e-9 * joints.stamp, axis=0)
+    log = sy.Log.from_arrays(
+        robot,
+        time=1e-10 * joints.stamp,
+        position=joints.position,
+        velocity=velocity,
+        effort=joints.effort,
+    )
+    found = sy.identify(robot, log)
+    assert re.search("is 0.1 times the rate .* check the rate of the stamps", found.alarms[0])

@@ -124,3 +124,23 @@ def test_a_joint_that_sticks_after_one_stroke_does_not_show_its_sign(seed, joint
     for other in {0, 1, 2, 3} - {joint}:
         found = readings(1 - 2 * np.eye(4)[other])
         assert found.reversed_efforts == (robot.joint_names[other],)
+
+
+@pytest.mark.parametrize("what", ["positions", "efforts"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_positions_or_efforts_alone_may_be_exchanged(seed, what) -> None:
+    """The friction of a joint follows its own speed, and its load the angles before it."""
+    robot, log = arm_and_log(seed)
+    joints = log.streams().joints
+    read = {"time": 1e-9 * joints.stamp, "position": joints.position, "effort": joints.effort}
+    array = what.removesuffix("s")
+    read[array] = read[array][:, [0, 2, 1, 3]]
+    readings = found_in(robot, sy.Log.from_arrays(robot, **read))
+    names = set(robot.joint_names[1:3])
+    assert not readings.exchanged
+    assert set(readings.exchanged_positions) == (names if what == "positions" else set())
+    assert set(readings.exchanged_efforts) == (names if what == "efforts" else set())
+    assert f"the log exchanges {what} alone of" in readings.alarm
+    assert readings.alarm.endswith(
+        "; publish each position and effort under the name of its own joint"
+    )

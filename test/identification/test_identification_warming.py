@@ -2,6 +2,7 @@
 
 import logging
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,11 @@ from drive_logs import arm, drives, log_of
 
 import symbid_ros as sy
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.group_moments import GROUPS, SECOND, Grouping
 from symbid_ros.identification import warming
+from symbid_ros.identification.aligned_log import AlignedLog
+from symbid_ros.identification.force_errors import ForceRows
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.stored_information import with_constant_friction
@@ -21,7 +25,7 @@ from symbid_ros.online.initial_state import InitialState
 from symbid_ros.report.data_summary import verdict_entries
 
 SECONDS = 64.0
-START = 1.7e9  # s, of a wall clock
+START = 0.0  # s, of a simulated clock
 VISCOUS, COULOMB = 0.4, 0.8
 MILLI = SECOND // 1000
 WARM = np.exp(-2.0)  # what is left of the change at the end
@@ -95,6 +99,39 @@ def test_the_end_of_the_log_is_predicted_with_the_friction_before_it(robot, log,
     assert found.estimate.holdout.percent_after < 0.7 * constant.estimate.holdout.percent_after
     assert "changes during the log" in constant.alarms[0]
     assert "leave `joint_terms` and `sensor_errors` out" in constant.alarms[0]
+
+
+@pytest.fixture(scope="module")
+def warm(robot):
+    """Return a log of the warm robot whose clock starts as that of the identified log."""
+    return log_of(robot, drives(robot, viscous=VISCOUS, coulomb=COULOMB), seed=5, start=START)
+
+
+def test_another_log_is_predicted_with_the_friction_at_the_end(found, warm) -> None:
+    checked = sy.validate(found, warm)
+    assert checked.verdict.startswith("use it: ")
+    assert checked.percent_after < 0.3
+
+
+def test_filtered_rows_have_the_friction_at_the_end_as_well(robot, found, warm) -> None:
+    predictor = replace(found.predictor, settings=RowSettings("butterworth", cutoff=10.0))
+    rows = ForceRows.of(predictor, AlignedLog(warm, robot), "warm")
+    error = (rows.after - rows.y)[rows.valid]
+    assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(np.mean(rows.y**2))
+
+
+def test_the_identified_log_is_predicted_with_its_own_friction(robot, log, found) -> None:
+    end = 20.0
+    joints = log.streams().joints
+    is_early = joints.stamp < 1e9 * (START + end)
+    early = sy.Log.from_arrays(
+        robot,
+        time=1e-9 * joints.stamp[is_early],
+        position=joints.position[is_early],
+        effort=joints.effort[is_early],
+    )
+    for one in (log, early):
+        assert sy.validate(found, one).percent_after < 0.3
 
 
 def test_the_summary_tells_the_change(found) -> None:
