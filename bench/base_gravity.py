@@ -25,8 +25,8 @@ from threadpoolctl import threadpool_limits
 
 import symbid_ros as sy
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.aligned_log import AlignedLog
-from symbid_ros.identification.base_gravity import find_gravity
+from symbid_ros.identification.conventions.base_gravity import find_gravity
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
 

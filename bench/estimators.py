@@ -36,12 +36,12 @@ from symbid_ros.choices import METHODS
 from symbid_ros.estimation.directions import DETERMINED, determined_directions
 from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.prior_file import write_prior
-from symbid_ros.identification.evaluation import TrueMotion, evaluate
+from symbid_ros.identification.calibration.tares import read_tare
 from symbid_ros.identification.identification import Identification
-from symbid_ros.identification.intervals import HALF_WIDTH, summarise_intervals
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.tares import read_tare
+from symbid_ros.identification.predictions.evaluation import TrueMotion, evaluate
+from symbid_ros.identification.predictions.intervals import HALF_WIDTH, summarise_intervals
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, read_true_motion

@@ -21,10 +21,10 @@ from documented_robots import ur5_urdf
 
 from symbid_ros.estimation.fleet import FleetEstimate
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.dataset import read_dataset
 from symbid_ros.identification.fleet import fleet
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prior_options import load_parameters
+from symbid_ros.identification.rows.dataset import read_dataset
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log

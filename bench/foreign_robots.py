@@ -54,7 +54,7 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.prior import Kind, default_prior, draw_prior
-from symbid_ros.identification.intervals import HALF_WIDTH
+from symbid_ros.identification.predictions.intervals import HALF_WIDTH
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.warming import NODES
 from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPoint, error_columns

@@ -30,7 +30,7 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.base_parameters import base_parameters
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.intervals import HALF_WIDTH
+from symbid_ros.identification.predictions.intervals import HALF_WIDTH
 from symbid_ros.model.parameters import ParameterSet
 
 FloatArray = NDArray[np.float64]

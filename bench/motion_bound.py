@@ -26,7 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from symbid_ros.estimation.directions import determined_directions
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.evaluation import TrueMotion, evaluate
+from symbid_ros.identification.predictions.evaluation import TrueMotion, evaluate
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import read_true_motion

@@ -26,7 +26,7 @@ from symbid_ros.dynamics.regressor import (
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.identification.evaluation import TrueMotion
+from symbid_ros.identification.predictions.evaluation import TrueMotion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.calibrating_rows import LinearizationPoint, error_columns

@@ -35,7 +35,7 @@ from std_srvs.srv import Trigger
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.prior_file import write_prior
-from symbid_ros.identification.evaluation import evaluate
+from symbid_ros.identification.predictions.evaluation import evaluate
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import read_true_motion

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 import symbid_ros as sy
 from symbid_ros.dynamics.inertial_rows import KERNEL, NUMBA, NUMPY
-from symbid_ros.identification.intervals import HALF_WIDTH
+from symbid_ros.identification.predictions.intervals import HALF_WIDTH
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.options import SimulateOptions

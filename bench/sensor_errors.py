@@ -22,9 +22,9 @@ from threadpoolctl import threadpool_limits
 
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.prior_file import write_prior
-from symbid_ros.identification.evaluation import evaluate
-from symbid_ros.identification.intervals import summarise_intervals
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.predictions.evaluation import evaluate
+from symbid_ros.identification.predictions.intervals import summarise_intervals
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, read_true_motion

@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from symbid_ros.identification.api import identify as identify
     from symbid_ros.identification.api import merge as merge
     from symbid_ros.identification.api import regressor as regressor
-    from symbid_ros.identification.evaluation import Metrics as Metrics
-    from symbid_ros.identification.force_errors import ForceError as ForceError
     from symbid_ros.identification.options import IdentifyOptions as IdentifyOptions
+    from symbid_ros.identification.predictions.evaluation import Metrics as Metrics
+    from symbid_ros.identification.predictions.force_errors import ForceError as ForceError
+    from symbid_ros.identification.predictions.validation import validate as validate
+    from symbid_ros.identification.predictions.validation_result import Validation as Validation
     from symbid_ros.identification.result import ForcePrediction as ForcePrediction
     from symbid_ros.identification.result import LinkEstimate as LinkEstimate
     from symbid_ros.identification.result import LogInformation as LogInformation
     from symbid_ros.identification.result import ParameterEstimate as ParameterEstimate
     from symbid_ros.identification.result import Result as Result
-    from symbid_ros.identification.validation import validate as validate
-    from symbid_ros.identification.validation_result import Validation as Validation
     from symbid_ros.messages.log_options import LogOptions as LogOptions
     from symbid_ros.model.load import load_model as load_model
     from symbid_ros.model.tree import RobotModel as RobotModel
@@ -55,7 +55,7 @@ _MODULES = {
     "DataError": "errors",
     "Diagnosis": "diagnosis.findings",
     "EstimateError": "errors",
-    "ForceError": "identification.force_errors",
+    "ForceError": "identification.predictions.force_errors",
     "ForcePrediction": "identification.result",
     "IdentifyOptions": "identification.options",
     "LinkEstimate": "identification.result",
@@ -63,7 +63,7 @@ _MODULES = {
     "LogInformation": "identification.result",
     "LogOptions": "messages.log_options",
     "METHODS": "choices",
-    "Metrics": "identification.evaluation",
+    "Metrics": "identification.predictions.evaluation",
     "ModelError": "errors",
     "ModelGate": "estimation.model_gate",
     "OptionError": "errors",
@@ -72,7 +72,7 @@ _MODULES = {
     "Result": "identification.result",
     "RobotModel": "model.tree",
     "SymbidError": "errors",
-    "Validation": "identification.validation_result",
+    "Validation": "identification.predictions.validation_result",
     "diagnose": "identification.api",
     "evaluate": "offline.bags",
     "identify": "identification.api",
@@ -80,7 +80,7 @@ _MODULES = {
     "load_model": "model.load",
     "merge": "identification.api",
     "regressor": "identification.api",
-    "validate": "identification.validation",
+    "validate": "identification.predictions.validation",
 }
 __all__ = sorted([*_MODULES, "__version__"])  # noqa: PLE0605
 

@@ -43,11 +43,21 @@ NEVER = {
     "simulation": {"estimation", "diagnosis", "identification", "offline", "online"},
     "cli": {"ros"},  # the command starts nodes as processes
 }
-# Within bags; what lies beside these is common to them.
-BAG_PARTS: dict[str, set[str]] = {
-    "container": set(),
-    "writing": {"container"},
-    "recovery": {"container", "writing"},
+# Parts of subpackages, and which parts of their own they may import; what lies beside is common.
+PARTS: dict[str, dict[str, set[str]]] = {
+    "bags": {
+        "container": set(),
+        "writing": {"container"},
+        "recovery": {"container", "writing"},
+    },
+    "identification": {
+        "conventions": set(),
+        "rows": set(),
+        "terms": {"rows"},
+        "calibration": {"rows", "terms"},
+        "predictions": {"rows", "terms"},
+        "causes": {"conventions", "rows", "terms", "calibration"},
+    },
 }
 FREE = {
     "arrays",
@@ -154,14 +164,15 @@ def test_subpackages_import_only_those_before_them() -> None:
     assert not wrong(forbidden)
 
 
-def test_parts_of_bags_keep_apart() -> None:
+def test_parts_of_subpackages_keep_apart() -> None:
     def forbidden(path: Path) -> set[str]:
         own = path.relative_to(ROOT / PACKAGE).parts
-        if own[0] != "bags" or len(own) < 3:
+        if own[0] not in PARTS or len(own) < 3:
             return set()
+        parts = PARTS[own[0]]
         used = {tuple(module.split(".")) for module in imports(path)}
-        parts = {name[2] for name in used if name[:2] == (PACKAGE, "bags") and len(name) > 2}
-        return parts & set(BAG_PARTS) - BAG_PARTS[own[1]] - {own[1]}
+        named = {name[2] for name in used if name[:2] == (PACKAGE, own[0]) and len(name) > 2}
+        return named & set(parts) - parts[own[1]] - {own[1]}
 
     assert not wrong(forbidden)
 

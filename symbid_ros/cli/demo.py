@@ -226,10 +226,10 @@ def _identify_offline(
     from symbid_ros.cli.tables import metrics_table
     from symbid_ros.estimation.provenance import command_line
     from symbid_ros.estimation.truncated_svd import METHODS
-    from symbid_ros.identification.dataset import Processing
     from symbid_ros.identification.options import IdentifyOptions
     from symbid_ros.identification.pipeline import identify_problem
     from symbid_ros.identification.result_files import write_identification
+    from symbid_ros.identification.rows.dataset import Processing
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import (
         BagRequest,
@@ -311,7 +311,7 @@ def _truncations(prepared: "LoadedProblem", validation: Path) -> "dict[tuple[str
     """Return the thesis's estimates from equal rows, with z chosen without and with validation."""
     from symbid_ros.bags import bag_log
     from symbid_ros.estimation.truncated_svd import METHODS
-    from symbid_ros.identification.dataset import Processing, read_dataset
+    from symbid_ros.identification.rows.dataset import Processing, read_dataset
     from symbid_ros.report.saved_results import METHOD_TITLES
 
     # Only rows of the chosen window are needed.

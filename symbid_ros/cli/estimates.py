@@ -167,12 +167,12 @@ def evaluate(
     Joints with Coulomb friction do not count in errors of forces while they may stick.
     """
     from symbid_ros.cli.tables import errors_table
-    from symbid_ros.identification.evaluation import check_true_robot, sticking_share
-    from symbid_ros.identification.evaluation import evaluate as evaluate_ideal
-    from symbid_ros.identification.intervals import LEVEL, summarise_intervals
-    from symbid_ros.identification.realistic_prediction import evaluate_realistic
+    from symbid_ros.identification.calibration.rigid_sensors import RigidSensors
+    from symbid_ros.identification.predictions.evaluation import check_true_robot, sticking_share
+    from symbid_ros.identification.predictions.evaluation import evaluate as evaluate_ideal
+    from symbid_ros.identification.predictions.intervals import LEVEL, summarise_intervals
+    from symbid_ros.identification.predictions.realistic_prediction import evaluate_realistic
     from symbid_ros.identification.result_files import load_estimated_model
-    from symbid_ros.identification.rigid_sensors import RigidSensors
     from symbid_ros.json_documents import versioned
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
@@ -262,7 +262,7 @@ def report(
     Results of one robot may differ in method, log and joint terms.
     """
     from symbid_ros.atomic_write import check_output_file
-    from symbid_ros.identification.evaluation import check_true_robot
+    from symbid_ros.identification.predictions.evaluation import check_true_robot
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import load_bag, read_realistic_motion, read_true_motion
     from symbid_ros.progress import report as step

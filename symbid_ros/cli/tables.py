@@ -16,10 +16,10 @@ from symbid_ros.cli.flags import flag
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.verdict import Verdict
-from symbid_ros.identification.comparison import Comparison
-from symbid_ros.identification.error_changes import describe_files, percent
-from symbid_ros.identification.force_errors import ForceError
-from symbid_ros.identification.validation_result import Validation
+from symbid_ros.identification.predictions.comparison import Comparison
+from symbid_ros.identification.predictions.error_changes import describe_files, percent
+from symbid_ros.identification.predictions.force_errors import ForceError
+from symbid_ros.identification.predictions.validation_result import Validation
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.options import spelled
 from symbid_ros.report.content import METRICS, REALISTIC_METRICS, MethodResult, best_labels

@@ -53,7 +53,7 @@ def validate(
     """
     from symbid_ros.atomic_write import check_writable
     from symbid_ros.cli.tables import print_validation
-    from symbid_ros.identification.validation import validate as judge
+    from symbid_ros.identification.predictions.validation import validate as judge
     from symbid_ros.offline.bags import load_bag
     from symbid_ros.offline.predictions import write_predictions
 
@@ -97,7 +97,7 @@ def compare(
     robot and load, 2 error.
     """
     from symbid_ros.cli.tables import print_comparison
-    from symbid_ros.identification.comparison import compare as rank
+    from symbid_ros.identification.predictions.comparison import compare as rank
     from symbid_ros.offline.bags import load_bag
 
     with progress_shown():

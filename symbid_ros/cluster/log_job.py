@@ -37,13 +37,13 @@ from symbid_ros.errors import DataError, OptionError
 from symbid_ros.estimation.archive import unpack_observations
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.provenance import InputFile
-from symbid_ros.identification.aligned_log import SPAN
-from symbid_ros.identification.assumed_contacts import naming_contacts
-from symbid_ros.identification.dataset import Dataset, DistributedSegments, Processing
+from symbid_ros.identification.conventions.assumed_contacts import naming_contacts
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
 from symbid_ros.identification.log_checks import BIASING, NO_CHECKS, LogChecks
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.rows.aligned_log import SPAN
+from symbid_ros.identification.rows.dataset import Dataset, DistributedSegments, Processing
 from symbid_ros.model.load import load_model, model_files
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, with_likely_base
@@ -146,7 +146,7 @@ class ClusterSegments(DistributedSegments):
         ]
 
     def fold(self, source: str, parameters: ParameterSet, processing: Processing) -> Dataset:
-        """Return what :func:`symbid_ros.identification.dataset.fold_dataset` does."""
+        """Return what :func:`symbid_ros.identification.rows.dataset.fold_dataset` does."""
         return self.folded(source, parameters, processing)[0]
 
     def folded(

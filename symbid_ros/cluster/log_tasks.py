@@ -26,12 +26,12 @@ from symbid_ros.estimation.archive import pack_observations, unpack_observations
 from symbid_ros.estimation.group_moments import Grouping
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.provenance import digest, list_inputs
-from symbid_ros.identification.aligned_log import SPAN, AlignedLog
-from symbid_ros.identification.assumed_contacts import assumed_contacts
 from symbid_ros.identification.contacts import with_robot_options
-from symbid_ros.identification.dataset import Processing, fold_dataset
+from symbid_ros.identification.conventions.assumed_contacts import assumed_contacts
 from symbid_ros.identification.log_checks import check_dataset
 from symbid_ros.identification.robot_options import RobotOptions
+from symbid_ros.identification.rows.aligned_log import SPAN, AlignedLog
+from symbid_ros.identification.rows.dataset import Processing, fold_dataset
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.fixed_frames import FixedTransform, with_fixed_frames

@@ -17,19 +17,19 @@ from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
-from symbid_ros.identification.assumed_contacts import with_assumed_contacts
-from symbid_ros.identification.base_gravity import find_gravity, searches_gravity
 from symbid_ros.identification.contacts import with_robot_options
-from symbid_ros.identification.joint_readings import JointReadings, find_readings
-from symbid_ros.identification.loaded_problem import load_information, load_problem
-from symbid_ros.identification.log_reading import first_segments
-from symbid_ros.identification.missing_inertia import (
+from symbid_ros.identification.conventions.assumed_contacts import with_assumed_contacts
+from symbid_ros.identification.conventions.base_gravity import find_gravity, searches_gravity
+from symbid_ros.identification.conventions.joint_readings import JointReadings, find_readings
+from symbid_ros.identification.conventions.missing_inertia import (
     find_missing_inertia,
     missing_inertia_finding,
 )
+from symbid_ros.identification.conventions.position_units import find_degrees
+from symbid_ros.identification.loaded_problem import load_information, load_problem
+from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.pipeline import identify_problem
-from symbid_ros.identification.position_units import find_degrees
 from symbid_ros.identification.result import LogInformation, Result
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.load import as_model

@@ -15,7 +15,7 @@ from symbid_ros.estimation.fleet_spread import LEAST_SPREAD
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.loaded_problem import load_information
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.prediction import load_result_robot
+from symbid_ros.identification.predictions.predictor import load_result_robot
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.stored_information import columns_of, with_constant_friction

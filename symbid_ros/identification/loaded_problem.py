@@ -17,12 +17,13 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.provenance import InputDigests, Provenance
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
-from symbid_ros.identification.assumed_contacts import with_assumed_contacts
-from symbid_ros.identification.base_gravity import with_found_gravity
+from symbid_ros.identification.calibration.drive_gains import ConvertedSegments
+from symbid_ros.identification.calibration.shown_errors import shows_compliance
+from symbid_ros.identification.calibration.tares import Tare, read_tare
 from symbid_ros.identification.contacts import with_robot_options
-from symbid_ros.identification.dataset import Dataset, Processing
-from symbid_ros.identification.drive_gains import ConvertedSegments
-from symbid_ros.identification.fast_motion import with_fast_motion
+from symbid_ros.identification.conventions.assumed_contacts import with_assumed_contacts
+from symbid_ros.identification.conventions.base_gravity import with_found_gravity
+from symbid_ros.identification.conventions.position_units import refuse_degrees
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks, ModelWatch, check_dataset
 from symbid_ros.identification.log_reading import (
@@ -34,7 +35,6 @@ from symbid_ros.identification.log_reading import (
     with_reversed,
 )
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.position_units import refuse_degrees
 from symbid_ros.identification.prior_options import (
     build_pseudo_measurements,
     choose_prior,
@@ -44,10 +44,10 @@ from symbid_ros.identification.prior_options import (
 from symbid_ros.identification.problem import Truncation
 from symbid_ros.identification.problem_setup import ProblemSetup, first_factors
 from symbid_ros.identification.result_files import check_output
-from symbid_ros.identification.shown_errors import shows_compliance
+from symbid_ros.identification.rows.dataset import Dataset, Processing
+from symbid_ros.identification.rows.fast_motion import with_fast_motion
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.stored_information import check_layout, columns_of, with_columns
-from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.model.load import model_files
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload, with_payloads

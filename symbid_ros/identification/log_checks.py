@@ -22,14 +22,14 @@ from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
-from symbid_ros.identification.calibration import Mounting
-from symbid_ros.identification.dataset import Dataset
-from symbid_ros.identification.joint_readings import find_common_reversal, find_readings
-from symbid_ros.identification.missing_inertia import (
+from symbid_ros.identification.calibration.extended_problem import Mounting
+from symbid_ros.identification.calibration.tares import Tare
+from symbid_ros.identification.conventions.joint_readings import find_common_reversal, find_readings
+from symbid_ros.identification.conventions.missing_inertia import (
     find_missing_inertia,
     missing_inertia_finding,
 )
-from symbid_ros.identification.tares import Tare
+from symbid_ros.identification.rows.dataset import Dataset
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
 

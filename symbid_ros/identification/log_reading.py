@@ -10,9 +10,9 @@ import numpy as np
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.errors import DataError, SymbidError
-from symbid_ros.identification.aligned_log import AlignedLog, ChainedSegments
-from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset, read_dataset
 from symbid_ros.identification.options import IdentifyOptions, Source
+from symbid_ros.identification.rows.aligned_log import AlignedLog, ChainedSegments
+from symbid_ros.identification.rows.dataset import Dataset, Processing, fold_dataset, read_dataset
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import RobotModel

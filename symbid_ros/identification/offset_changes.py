@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.identification.force_errors import LEAST_COVERAGE, ForceRows
-from symbid_ros.identification.intervals import HALF_WIDTH
+from symbid_ros.identification.predictions.force_errors import LEAST_COVERAGE, ForceRows
+from symbid_ros.identification.predictions.intervals import HALF_WIDTH
 
 # Mean squared error, in predicted variances, above which an offset counts as another one. The
 # errors of a sensor with the same offset have 1 to 1.4.

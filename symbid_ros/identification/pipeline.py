@@ -7,13 +7,14 @@ from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate import HoldOut
-from symbid_ros.identification.force_errors import RELEVANT
-from symbid_ros.identification.gain_check import Trial, wrist_sensor_alarms, wrong_factors
-from symbid_ros.identification.holdout import hold_out, rest_at_end
+from symbid_ros.identification.causes.gain_check import Trial, wrist_sensor_alarms, wrong_factors
+from symbid_ros.identification.causes.joint_alarms import with_explained_alarms
 from symbid_ros.identification.identification import Identification
-from symbid_ros.identification.joint_alarms import with_explained_alarms
 from symbid_ros.identification.loaded_problem import LoadedProblem
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.force_errors import RELEVANT
+from symbid_ros.identification.predictions.holdout import hold_out, rest_at_end
+from symbid_ros.identification.predictions.predictor import ForcePredictor
+from symbid_ros.identification.predictions.validation import validate_segments
 from symbid_ros.identification.report_data import ForceSeries
 from symbid_ros.identification.report_series import (
     PositionTrace,
@@ -21,8 +22,7 @@ from symbid_ros.identification.report_series import (
     force_series,
     report_data,
 )
-from symbid_ros.identification.resting_joints import motionless_joints
-from symbid_ros.identification.validation import validate_segments
+from symbid_ros.identification.terms.resting_joints import motionless_joints
 from symbid_ros.progress import report
 from symbid_ros.signals.segments import split
 from symbid_ros.signals.weak_form import WINDOWS

@@ -20,7 +20,7 @@ from symbid_ros.signals.sampled_rows import RowBuilder
 from symbid_ros.signals.weak_form import equation_rows
 
 if TYPE_CHECKING:
-    from symbid_ros.identification.joint_terms import TermChoice
+    from symbid_ros.identification.terms.choice import TermChoice
 
 
 @dataclass(frozen=True)

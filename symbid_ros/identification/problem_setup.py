@@ -11,36 +11,36 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.identification.calibration import (
-    SensorErrorRequest,
-    calibrate,
-    with_fixed_gains,
-    without_terms,
-)
-from symbid_ros.identification.candidate_trial import with_plausible_prior
-from symbid_ros.identification.couplings import find_couplings
-from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
-from symbid_ros.identification.drive_gains import (
+from symbid_ros.identification.calibration.drive_gains import (
     ConvertedSegments,
     InitialFactors,
     initial_factors,
     named_joints,
     with_measured_loads,
 )
-from symbid_ros.identification.gain_iteration import identify_gains
-from symbid_ros.identification.joint_terms import choose_terms
+from symbid_ros.identification.calibration.extended_problem import (
+    SensorErrorRequest,
+    calibrate,
+    with_fixed_gains,
+    without_terms,
+)
+from symbid_ros.identification.calibration.gain_iteration import identify_gains
+from symbid_ros.identification.calibration.shown_errors import biases_explain, shows_imu_bias
+from symbid_ros.identification.calibration.tares import Tare
 from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prior_options import build_pseudo_measurements
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.ripples import find_ripples
-from symbid_ros.identification.shown_errors import biases_explain, shows_imu_bias
+from symbid_ros.identification.rows.dataset import Dataset, Processing, fold_dataset
 from symbid_ros.identification.solved_problem import SolvedProblem
-from symbid_ros.identification.springs import find_springs
 from symbid_ros.identification.stored_information import merged_observations, with_columns
-from symbid_ros.identification.tares import Tare
-from symbid_ros.identification.term_priors import candidate_prior, named_term_prior
-from symbid_ros.identification.warming import find_warming
+from symbid_ros.identification.terms.choice import choose_terms
+from symbid_ros.identification.terms.couplings import find_couplings
+from symbid_ros.identification.terms.priors import candidate_prior, named_term_prior
+from symbid_ros.identification.terms.ripples import find_ripples
+from symbid_ros.identification.terms.springs import find_springs
+from symbid_ros.identification.terms.trial import with_plausible_prior
+from symbid_ros.identification.terms.warming import find_warming
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN, IMU_BIAS, PLACE

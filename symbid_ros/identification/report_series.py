@@ -7,11 +7,12 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.diagnosis.stream_checks import StreamChecks
-from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.log_checks import LogChecks
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.predictor import ForcePredictor
+from symbid_ros.identification.predictions.validation import validate_segments
+from symbid_ros.identification.predictions.validation_result import PredictedEfforts
 from symbid_ros.identification.report_data import (
     QUANTILES,
     Coverage,
@@ -20,8 +21,7 @@ from symbid_ros.identification.report_data import (
     PredictedLog,
     ReportData,
 )
-from symbid_ros.identification.validation import validate_segments
-from symbid_ros.identification.validation_result import PredictedEfforts
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment

@@ -16,11 +16,11 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import load_archive, write_archive
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.identification.result_files import write_identification
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.identification.stored_information import (
     merged_observations,
     require_constant_friction,

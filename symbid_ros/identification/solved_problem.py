@@ -30,8 +30,12 @@ from symbid_ros.estimation.verdict import assess
 from symbid_ros.identification.contacts import contact_alarms
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.problem import Problem, Truncation
-from symbid_ros.identification.term_remarks import joints_without_rows
-from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
+from symbid_ros.identification.rows.window_comparison import (
+    COMPARABLE,
+    WindowComparison,
+    solve_window,
+)
+from symbid_ros.identification.terms.remarks import joints_without_rows
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.wrist_sensors import links_beyond, sensor_names

@@ -8,7 +8,7 @@ from symbid_ros.dynamics.unmeasured_contacts import combined_coordinates
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.information import INCOMPATIBLE
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.identification.joint_terms import rows_of
+from symbid_ros.identification.terms.choice import rows_of
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.warming import is_change

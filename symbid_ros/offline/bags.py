@@ -19,14 +19,22 @@ from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.choices import Base
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.provenance import Provenance, option_values
-from symbid_ros.identification.evaluation import Metrics, TrueMotion, check_true_robot, true_motion
-from symbid_ros.identification.evaluation import evaluate as evaluate_candidates
+from symbid_ros.identification.calibration.rigid_sensors import RigidSensors
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
 from symbid_ros.identification.options import IdentifyOptions, PayloadSource
-from symbid_ros.identification.realistic_prediction import RealisticMotion, realistic_motion
+from symbid_ros.identification.predictions.evaluation import (
+    Metrics,
+    TrueMotion,
+    check_true_robot,
+    true_motion,
+)
+from symbid_ros.identification.predictions.evaluation import evaluate as evaluate_candidates
+from symbid_ros.identification.predictions.realistic_prediction import (
+    RealisticMotion,
+    realistic_motion,
+)
 from symbid_ros.identification.result import Result
-from symbid_ros.identification.rigid_sensors import RigidSensors
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.topics import Topic, TopicSelection, is_measured

@@ -11,7 +11,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.identification.assumed_contacts import chain_ends, end_positions
+from symbid_ros.identification.conventions.assumed_contacts import chain_ends, end_positions
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.streams import Streams, WrenchStream
 

@@ -27,13 +27,17 @@ from symbid_ros.diagnosis.joint_checks import DEGREES
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.errors import SymbidError
-from symbid_ros.identification.aligned_log import AlignedLog
-from symbid_ros.identification.base_gravity import FoundGravity, find_gravity, searches_gravity
 from symbid_ros.identification.contacts import with_robot_options
-from symbid_ros.identification.joint_readings import JointReadings, find_readings
+from symbid_ros.identification.conventions.base_gravity import (
+    FoundGravity,
+    find_gravity,
+    searches_gravity,
+)
+from symbid_ros.identification.conventions.joint_readings import JointReadings, find_readings
+from symbid_ros.identification.conventions.position_units import find_degrees
 from symbid_ros.identification.log_reading import MINUTE, first_segments
-from symbid_ros.identification.position_units import find_degrees
 from symbid_ros.identification.robot_options import RobotOptions
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.offline.robot_setup_file import RobotSetup

@@ -6,7 +6,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.bags import BagWriter, create_folder
-from symbid_ros.identification.validation_result import PredictedEfforts
+from symbid_ros.identification.predictions.validation_result import PredictedEfforts
 from symbid_ros.messages.layout import Records
 from symbid_ros.messages.types import fill_message, fill_wrench, joint_state_layout, wrench_layout
 

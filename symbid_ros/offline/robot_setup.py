@@ -14,7 +14,7 @@ import numpy as np
 from symbid_ros.bags import bag_log, count_messages, join_names
 from symbid_ros.choices import Base
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
-from symbid_ros.identification.assumed_contacts import assumed_contacts, leg_ends
+from symbid_ros.identification.conventions.assumed_contacts import assumed_contacts, leg_ends
 from symbid_ros.identification.log_reading import MINUTE
 from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.topics import Topic, TopicSelection, describe_topics, is_measured

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from symbid_ros.arrays import distinct
 from symbid_ros.errors import SymbidError
-from symbid_ros.identification.accumulator import TimeSpan
+from symbid_ros.identification.rows.accumulator import TimeSpan
 from symbid_ros.messages.topics import SelectedTopics
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.live_streams import LiveStreams

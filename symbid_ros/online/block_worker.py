@@ -8,8 +8,8 @@ from threading import Event
 
 import numpy as np
 
-from symbid_ros.identification.accumulator import BlockAccumulator, TimeSpan
-from symbid_ros.identification.calibration import NOISY_CHANNELS
+from symbid_ros.identification.calibration.extended_problem import NOISY_CHANNELS
+from symbid_ros.identification.rows.accumulator import BlockAccumulator, TimeSpan
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
 from symbid_ros.signals.sensor_noise import MOTION, Channel

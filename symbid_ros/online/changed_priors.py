@@ -13,9 +13,9 @@ from symbid_ros.estimation.change import (
 from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.identification.change_monitor import Change
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.rows.change_monitor import Change
 from symbid_ros.model.parameters import ParameterSet
 
 

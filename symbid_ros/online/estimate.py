@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from symbid_ros.identification.change_monitor import Change
 from symbid_ros.identification.identification import Identification
+from symbid_ros.identification.rows.change_monitor import Change
 from symbid_ros.model.parameters import ParameterSet
 
 

@@ -18,19 +18,19 @@ from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.identification.accumulator import (
+from symbid_ros.identification.calibration.tares import Tare
+from symbid_ros.identification.identification import Identification
+from symbid_ros.identification.problem import Problem, Truncation
+from symbid_ros.identification.rows.accumulator import (
     Accumulator,
     BlockAccumulator,
     BlockRows,
     TimeSpan,
     build_block_rows,
 )
-from symbid_ros.identification.change_monitor import Change, ChangeMonitor
-from symbid_ros.identification.identification import Identification
-from symbid_ros.identification.problem import Problem, Truncation
+from symbid_ros.identification.rows.change_monitor import Change, ChangeMonitor
+from symbid_ros.identification.rows.window_comparison import WindowSelector
 from symbid_ros.identification.solved_problem import SolvedProblem
-from symbid_ros.identification.tares import Tare
-from symbid_ros.identification.window_comparison import WindowSelector
 from symbid_ros.messages.topics import SelectedTopics
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker

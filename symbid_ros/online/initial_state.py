@@ -11,7 +11,7 @@ from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.provenance import InputFile, digest, list_inputs
 from symbid_ros.estimation.row_layout import RowLayout
-from symbid_ros.identification.dataset import Processing
+from symbid_ros.identification.calibration.tares import Tare
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prior_options import (
     build_pseudo_measurements,
@@ -20,7 +20,7 @@ from symbid_ros.identification.prior_options import (
     with_load_reference,
 )
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.tares import Tare
+from symbid_ros.identification.rows.dataset import Processing
 from symbid_ros.messages.log_options import PART, LogOptions
 from symbid_ros.model.load import model_files
 from symbid_ros.model.tree import RobotModel

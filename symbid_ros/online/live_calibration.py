@@ -16,14 +16,14 @@ from symbid_ros.choices import SensorErrorKind
 from symbid_ros.estimation.change import SENSOR_CHANGE, SensorHypothesis
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
-from symbid_ros.identification.accumulator import TimeSpan
-from symbid_ros.identification.calibration import (
+from symbid_ros.identification.calibration.extended_problem import (
     ExtendedProblem,
     SensorErrorRequest,
     calibration_windows,
 )
+from symbid_ros.identification.calibration.tares import Tare
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.tares import Tare
+from symbid_ros.identification.rows.accumulator import TimeSpan
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 from symbid_ros.signals.sampled_rows import RowBuilder
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.identification.joint_terms import TermChoice, choose_terms
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.term_priors import candidate_prior, named_term_prior
+from symbid_ros.identification.terms.choice import TermChoice, choose_terms
+from symbid_ros.identification.terms.priors import candidate_prior, named_term_prior
 from symbid_ros.model.parameters import ParameterSet
 
 # Factor by which the number of blocks grows between two choices.

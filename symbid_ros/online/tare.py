@@ -4,7 +4,7 @@ import logging
 from collections.abc import Mapping
 
 from symbid_ros.errors import DataError
-from symbid_ros.identification.tares import Tare, tares_of
+from symbid_ros.identification.calibration.tares import Tare, tares_of
 from symbid_ros.messages.sensor_streams import build_wrench_stream
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.online.live_streams import TopicBuffer

@@ -9,7 +9,7 @@ from symbid_ros.diagnosis.wrist_evidence import check_signs
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.identification.assumed_contacts import leg_ends
+from symbid_ros.identification.conventions.assumed_contacts import leg_ends
 from symbid_ros.identification.problem import check_weight
 from symbid_ros.messages.topics import SelectedTopics
 from symbid_ros.model.parameters import ParameterSet

@@ -8,8 +8,9 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.identification.comparison import describe_difference
-from symbid_ros.identification.evaluation import (
+from symbid_ros.identification.calibration.rigid_sensors import RigidSensors
+from symbid_ros.identification.predictions.comparison import describe_difference
+from symbid_ros.identification.predictions.evaluation import (
     Metrics,
     TrueMotion,
     environment_force,
@@ -17,9 +18,11 @@ from symbid_ros.identification.evaluation import (
     link_errors,
     predict,
 )
-from symbid_ros.identification.intervals import summarise_intervals
-from symbid_ros.identification.realistic_prediction import RealisticMotion, evaluate_realistic
-from symbid_ros.identification.rigid_sensors import RigidSensors
+from symbid_ros.identification.predictions.intervals import summarise_intervals
+from symbid_ros.identification.predictions.realistic_prediction import (
+    RealisticMotion,
+    evaluate_realistic,
+)
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors

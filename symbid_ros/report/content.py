@@ -9,7 +9,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.identification.intervals import IntervalSummary
+from symbid_ros.identification.predictions.intervals import IntervalSummary
 from symbid_ros.identification.report_data import PredictedLog, ReportData
 from symbid_ros.report.payloads import Payload
 from symbid_ros.report.robot_summary import RobotSummary

@@ -8,10 +8,14 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.identification.calibration import ASSUMED
-from symbid_ros.identification.error_changes import describe_files, percent, percent_change
-from symbid_ros.identification.force_errors import differ_relevantly
-from symbid_ros.identification.holdout import REPEATED
+from symbid_ros.identification.calibration.extended_problem import ASSUMED
+from symbid_ros.identification.predictions.error_changes import (
+    describe_files,
+    percent,
+    percent_change,
+)
+from symbid_ros.identification.predictions.force_errors import differ_relevantly
+from symbid_ros.identification.predictions.holdout import REPEATED
 from symbid_ros.identification.report_data import ReportData
 from symbid_ros.report.content import PRIOR, MethodResult, ReportContent
 from symbid_ros.report.formatting import ABSENT, fixed, significant, with_std

@@ -11,7 +11,7 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.provenance import digest
-from symbid_ros.identification.prediction import ForcePredictor, load_result_robot
+from symbid_ros.identification.predictions.predictor import ForcePredictor, load_result_robot
 from symbid_ros.identification.report_data import PredictedLog, ReportData, load_report_data
 from symbid_ros.identification.report_series import predicted_log
 from symbid_ros.identification.result_files import load_estimated_model

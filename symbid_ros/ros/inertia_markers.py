@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.identification.change_monitor import Change
+from symbid_ros.identification.rows.change_monitor import Change
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.rotation import quaternion_from_rotation

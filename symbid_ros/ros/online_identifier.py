@@ -18,9 +18,9 @@ from symbid_ros.atomic_write import check_output_file
 from symbid_ros.bags import bag_log
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.provenance import Provenance, command_line
+from symbid_ros.identification.calibration.tares import Tare, read_tare
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import check_output, export_urdf, write_identification
-from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.learning.candidate import RobotUncertainty, candidate_model, robot_uncertainty
 from symbid_ros.learning.model_file import read_model, write_model
 from symbid_ros.messages.name_check import ModelNames, check_model_names

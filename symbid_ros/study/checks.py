@@ -10,8 +10,8 @@ from symbid_ros.bags import read_streams, read_truth
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, known_force
-from symbid_ros.identification.evaluation import TrueMotion
-from symbid_ros.identification.realistic_prediction import evaluate_realistic
+from symbid_ros.identification.predictions.evaluation import TrueMotion
+from symbid_ros.identification.predictions.realistic_prediction import evaluate_realistic
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
 from symbid_ros.report.content import TRUTH

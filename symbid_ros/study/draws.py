@@ -17,12 +17,12 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.truncated_svd import METHODS as TRUNCATED
 from symbid_ros.estimation.truncated_svd import LeastSquares, select_rank
-from symbid_ros.identification.evaluation import MotionEvaluator, link_errors
+from symbid_ros.identification.calibration.tares import Tare, read_tare
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.predictions.evaluation import MotionEvaluator, link_errors
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solved_problem import SolvedProblem
-from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, read_true_motion

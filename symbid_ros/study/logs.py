@@ -8,8 +8,8 @@ from symbid_ros.atomic_write import write_text
 from symbid_ros.bags import bag_log
 from symbid_ros.choices import Channels, Scenario, Term
 from symbid_ros.estimation.archive import write_archive
-from symbid_ros.identification.aligned_log import AlignedLog
-from symbid_ros.identification.dataset import Processing, fold_dataset
+from symbid_ros.identification.rows.aligned_log import AlignedLog
+from symbid_ros.identification.rows.dataset import Processing, fold_dataset
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file

@@ -7,7 +7,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import StudyError
-from symbid_ros.identification.realistic_prediction import (
+from symbid_ros.identification.predictions.realistic_prediction import (
     RealisticMotion,
     RealisticPrediction,
     predict_realistic,

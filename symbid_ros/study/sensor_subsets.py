@@ -21,7 +21,7 @@ from symbid_ros.dynamics.unmeasured_contacts import DAMPING, annihilator
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import RowLayout, random_motions
-from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, Dataset, observe
+from symbid_ros.identification.rows.dataset import SAMPLES_AT_ONCE, Dataset, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sampled_rows import SampledRows, valid_coordinates

@@ -12,8 +12,8 @@ from symbid_ros.bags import bag_log, count_messages
 from symbid_ros.bags.recordings import separate_recordings
 from symbid_ros.bags.slices import iterate_slices
 from symbid_ros.diagnosis.doctor import diagnose
-from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.package_paths import config_file

@@ -10,9 +10,9 @@ from json_schemas import require_valid
 from report_pages import Page
 
 from symbid_ros.estimation.archive import load_deviation_factor
-from symbid_ros.identification.evaluation import Metrics
-from symbid_ros.identification.intervals import summarise_intervals
-from symbid_ros.identification.realistic_prediction import RealisticMetrics
+from symbid_ros.identification.predictions.evaluation import Metrics
+from symbid_ros.identification.predictions.intervals import summarise_intervals
+from symbid_ros.identification.predictions.realistic_prediction import RealisticMetrics
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

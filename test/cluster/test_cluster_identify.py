@@ -25,9 +25,9 @@ from symbid_ros.cluster.connection import connected
 from symbid_ros.cluster.log_job import ClusterRequest, divided
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.identification.aligned_log import SPAN
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.pipeline import identify_problem
+from symbid_ros.identification.rows.aligned_log import SPAN
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import BagRequest

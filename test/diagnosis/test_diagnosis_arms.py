@@ -19,7 +19,7 @@ from symbid_ros.diagnosis.findings import (
     has_unsigned_efforts,
 )
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification import position_units
+from symbid_ros.identification.conventions import position_units
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

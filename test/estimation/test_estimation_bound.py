@@ -17,8 +17,8 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.row_layout import RowLayout
-from symbid_ros.identification.dataset import observe
 from symbid_ros.identification.problem import Problem, Truncation
+from symbid_ros.identification.rows.dataset import observe
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model

@@ -10,8 +10,13 @@ from random_robots import random_robot
 
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import RowLayout
-from symbid_ros.identification.accumulator import Accumulator, BlockAccumulator, BlockRows, TimeSpan
-from symbid_ros.identification.dataset import observe
+from symbid_ros.identification.rows.accumulator import (
+    Accumulator,
+    BlockAccumulator,
+    BlockRows,
+    TimeSpan,
+)
+from symbid_ros.identification.rows.dataset import observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.segments import cut_to
 from symbid_ros.signals.weak_form import WINDOWS, equation_rows, windowed_rows

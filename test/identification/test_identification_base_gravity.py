@@ -16,11 +16,11 @@ import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.aligned_log import AlignedLog
-from symbid_ros.identification.base_gravity import find_gravity
 from symbid_ros.identification.contacts import with_robot_options
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.conventions.base_gravity import find_gravity
+from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.identification.robot_options import RobotOptions
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.robot_setup import inspect_robot

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.bags import BagWriter
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.api import identify
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.messages.types import (

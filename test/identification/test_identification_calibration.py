@@ -16,10 +16,10 @@ from symbid_ros.errors import DataError, OptionError, SymbidError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.prior_file import write_prior
-from symbid_ros.identification.calibration import SensorErrorRequest, calibrate
+from symbid_ros.identification.calibration.extended_problem import SensorErrorRequest, calibrate
+from symbid_ros.identification.calibration.tares import Tare, read_tare
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

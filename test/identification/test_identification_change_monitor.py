@@ -7,8 +7,8 @@ import pytest
 from live_feed import feed_of
 
 from symbid_ros.estimation.change import LinkChange
-from symbid_ros.identification.change_monitor import QUIET, Change
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.rows.change_monitor import QUIET, Change
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.online.identification import OnlineIdentification, Pace

@@ -7,7 +7,7 @@ from drive_logs import RATE, arm, drives, log_of, samples_of, slow_waves
 import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
 

@@ -12,15 +12,15 @@ from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.aligned_log import AlignedLog, joined_segments
 from symbid_ros.identification.api import diagnose, identify
-from symbid_ros.identification.assumed_contacts import assumed_contacts, chain_ends
-from symbid_ros.identification.dataset import Processing, fold_dataset
-from symbid_ros.identification.joint_terms import _any_slips
+from symbid_ros.identification.conventions.assumed_contacts import assumed_contacts, chain_ends
 from symbid_ros.identification.loaded_problem import load_information, load_problem
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.term_remarks import resting_joints
-from symbid_ros.identification.validation import validate
+from symbid_ros.identification.predictions.validation import validate
+from symbid_ros.identification.rows.aligned_log import AlignedLog, joined_segments
+from symbid_ros.identification.rows.dataset import Processing, fold_dataset
+from symbid_ros.identification.terms.choice import _any_slips
+from symbid_ros.identification.terms.remarks import resting_joints
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model

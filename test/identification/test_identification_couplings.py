@@ -6,7 +6,7 @@ from drive_logs import arm, drives, log_of
 
 import symbid_ros as sy
 from symbid_ros.errors import ModelError, OptionError
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.export_urdf import urdf_text
 

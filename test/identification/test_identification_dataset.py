@@ -10,8 +10,8 @@ from bag_editing import Messages, edit_bag
 
 from symbid_ros.bags import bag_log
 from symbid_ros.errors import BagError, DataError
-from symbid_ros.identification import dataset
-from symbid_ros.identification.aligned_log import AlignedLog
+from symbid_ros.identification.rows import dataset
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file

@@ -10,11 +10,11 @@ import symbid_ros as sy
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.gain_check import Trial, wrong_factors
-from symbid_ros.identification.holdout import hold_out
+from symbid_ros.identification.causes.gain_check import Trial, wrong_factors
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.holdout import hold_out
+from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.parameters import ParameterSet

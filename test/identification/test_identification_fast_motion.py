@@ -10,9 +10,9 @@ from random_robots import random_robot
 
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.row_layout import RowLayout
-from symbid_ros.identification.dataset import Dataset, observe
-from symbid_ros.identification.fast_motion import _fast_rows, _FastMotion, with_fast_motion
 from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.rows.dataset import Dataset, observe
+from symbid_ros.identification.rows.fast_motion import _fast_rows, _FastMotion, with_fast_motion
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_samples import probed

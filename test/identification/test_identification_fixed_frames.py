@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.errors import ModelError
 from symbid_ros.identification.api import identify
-from symbid_ros.identification.validation import validate
+from symbid_ros.identification.predictions.validation import validate
 from symbid_ros.messages.layout import typestore
 from symbid_ros.messages.static_transforms import TF_MESSAGE, static_transforms
 from symbid_ros.model.export_urdf import urdf_text

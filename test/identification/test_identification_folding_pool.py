@@ -10,10 +10,10 @@ from random_robots import random_robot
 from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.row_layout import RowLayout
-from symbid_ros.identification.dataset import observe
-from symbid_ros.identification.folding_pool import available_cores, read_ahead
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.rows.dataset import observe
+from symbid_ros.identification.rows.folding_pool import available_cores, read_ahead
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.weak_form import WINDOWS, equation_rows

@@ -13,8 +13,8 @@ from symbid_ros.errors import DataError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.aligned_log import AlignedLog
-from symbid_ros.identification.holdout import repeated_share
+from symbid_ros.identification.predictions.holdout import repeated_share
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.data_summary import verdict_entries

@@ -3,8 +3,8 @@
 import pytest
 from random_robots import CONFIG
 
-from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.predictions.evaluation import evaluate
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, read_true_motion

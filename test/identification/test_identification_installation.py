@@ -20,7 +20,7 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification import installation
 from symbid_ros.identification.installation import inertials_yaml, install, unheld_terms
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file

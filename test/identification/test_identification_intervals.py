@@ -12,8 +12,8 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import com_position, equation_of_motion
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.evaluation import TrueMotion, predict
-from symbid_ros.identification.intervals import prediction_std, summarise_intervals
+from symbid_ros.identification.predictions.evaluation import TrueMotion, predict
+from symbid_ros.identification.predictions.intervals import prediction_std, summarise_intervals
 from symbid_ros.model.parameters import ParameterSet
 
 

@@ -9,8 +9,8 @@ from expected_errors import raises_code
 
 import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Kind
-from symbid_ros.identification.joint_alarms import with_explained_alarms
-from symbid_ros.identification.joint_readings import JointReadings, find_readings
+from symbid_ros.identification.causes.joint_alarms import with_explained_alarms
+from symbid_ros.identification.conventions.joint_readings import JointReadings, find_readings
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.messages.log_options import LogOptions

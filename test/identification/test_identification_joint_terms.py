@@ -16,8 +16,8 @@ from symbid_ros.estimation.group_moments import GROUPS, GroupMoments
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.row_layout import RowLayout, random_motions
 from symbid_ros.identification import problem_setup
-from symbid_ros.identification.joint_terms import choose_terms
-from symbid_ros.identification.term_remarks import replaceable_terms
+from symbid_ros.identification.terms.choice import choose_terms
+from symbid_ros.identification.terms.remarks import replaceable_terms
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sampled_rows import slipping_coordinates, valid_coordinates

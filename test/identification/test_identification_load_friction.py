@@ -5,7 +5,7 @@ import pytest
 from drive_logs import arm, drives, log_of
 
 import symbid_ros as sy
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.model.export_urdf import urdf_text
 
 SHARE = 0.08

@@ -12,8 +12,8 @@ from tree_simulation import TreeSimulation
 
 import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.predictions.evaluation import evaluate
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

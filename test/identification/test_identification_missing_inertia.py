@@ -8,8 +8,8 @@ from random_robots import random_robot
 import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.estimation.alarms import Alarm
+from symbid_ros.identification.conventions.missing_inertia import find_missing_inertia
 from symbid_ros.identification.log_reading import first_segments
-from symbid_ros.identification.missing_inertia import find_missing_inertia
 
 SEEDS = 1, 2, 5
 

@@ -8,8 +8,8 @@ import pytest
 
 from symbid_ros.choices import TERMS, TYPICAL_ERRORS
 from symbid_ros.errors import OptionError
-from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.rows.dataset import Processing
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.options import options_of, spelled
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay

@@ -12,9 +12,9 @@ from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.estimation.prior import model_prior
-from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.rows.dataset import Dataset, Processing, fold_dataset
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import align_checked

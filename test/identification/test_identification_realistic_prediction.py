@@ -11,8 +11,8 @@ from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.evaluation import predict
-from symbid_ros.identification.realistic_prediction import (
+from symbid_ros.identification.predictions.evaluation import predict
+from symbid_ros.identification.predictions.realistic_prediction import (
     SINGULAR,
     evaluate_realistic,
     predict_realistic,

@@ -12,10 +12,10 @@ import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.diagnosis.timing import GAPS_KEPT, TimingCheck
 from symbid_ros.errors import EstimateError
+from symbid_ros.identification.predictions.validation_result import PredictedEfforts
 from symbid_ros.identification.report_data import FILE_NAME, QUANTILES, load_report_data
 from symbid_ros.identification.report_series import MOST_ROWS, PositionTrace, force_series
 from symbid_ros.identification.result_files import write_identification
-from symbid_ros.identification.validation_result import PredictedEfforts
 from symbid_ros.report.compose import compose
 from symbid_ros.report.page import render
 from symbid_ros.report.saved_results import load_result, with_forces_of

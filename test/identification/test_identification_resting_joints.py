@@ -8,7 +8,7 @@ from arm_log import arm_streams
 from drive_logs import arm
 
 import symbid_ros as sy
-from symbid_ros.identification.resting_joints import motionless_joints
+from symbid_ros.identification.terms.resting_joints import motionless_joints
 from symbid_ros.signals.alignment import align
 
 

@@ -21,7 +21,7 @@ from symbid_ros.identification import result_files
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.installation import inertials_yaml, install
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.identification.result_files import (
     check_output,
     load_estimated_model,

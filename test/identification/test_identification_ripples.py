@@ -9,7 +9,7 @@ from drive_logs import NOISE, RATE, SECONDS, arm, drives, log_of, samples_of
 import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import ModelError
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.ripple import Ripple

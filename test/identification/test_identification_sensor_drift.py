@@ -12,8 +12,8 @@ from symbid_ros.choices import TYPICAL_ERRORS
 from symbid_ros.estimation.directions import DETERMINED
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.calibration import SensorErrorRequest, calibrate
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.calibration.extended_problem import SensorErrorRequest, calibrate
+from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.parameters import ParameterSet

@@ -18,13 +18,13 @@ from symbid_ros.estimation.prior import Prior, default_prior, draw_prior
 from symbid_ros.estimation.prior_file import write_prior
 from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
-from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.result_files import write_identification
+from symbid_ros.identification.rows.dataset import Processing
+from symbid_ros.identification.rows.window_comparison import solve_window
 from symbid_ros.identification.solved_problem import SolvedProblem
-from symbid_ros.identification.window_comparison import solve_window
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

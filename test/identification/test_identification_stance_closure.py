@@ -9,7 +9,7 @@ from random_robots import CONFIG, random_robot
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.identification.stance_closure import (
+from symbid_ros.identification.calibration.stance_closure import (
     MOUNTING,
     RestingSoles,
     Stance,

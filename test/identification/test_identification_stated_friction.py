@@ -10,9 +10,12 @@ import pytest
 from tree_simulation import TreeSimulation
 
 from symbid_ros.dynamics.regressor import is_slipping
-from symbid_ros.identification.evaluation import evaluate, predict, sticking_share
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.realistic_prediction import RealisticMotion, predict_realistic
+from symbid_ros.identification.predictions.evaluation import evaluate, predict, sticking_share
+from symbid_ros.identification.predictions.realistic_prediction import (
+    RealisticMotion,
+    predict_realistic,
+)
 from symbid_ros.identification.result_files import load_estimated_model, write_identification
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model

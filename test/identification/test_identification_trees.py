@@ -6,8 +6,8 @@ from tree_simulation import TreeSimulation
 
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.prior_file import write_prior
-from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.predictions.evaluation import evaluate
 from symbid_ros.identification.result_files import write_identification
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model

@@ -3,7 +3,7 @@
 import pytest
 from random_robots import CONFIG
 
-from symbid_ros.identification.evaluation import check_true_robot
+from symbid_ros.identification.predictions.evaluation import check_true_robot
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import read_true_motion
 

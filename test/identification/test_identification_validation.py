@@ -14,12 +14,12 @@ from random_logs import LogPlan, random_streams, small_robot
 import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.aligned_log import AlignedLog
-from symbid_ros.identification.comparison import compare
-from symbid_ros.identification.error_changes import percent, percent_change
-from symbid_ros.identification.force_errors import compare_errors
-from symbid_ros.identification.prediction import ForcePredictor
-from symbid_ros.identification.validation import validate_segments
+from symbid_ros.identification.predictions.comparison import compare
+from symbid_ros.identification.predictions.error_changes import percent, percent_change
+from symbid_ros.identification.predictions.force_errors import compare_errors
+from symbid_ros.identification.predictions.predictor import ForcePredictor
+from symbid_ros.identification.predictions.validation import validate_segments
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet

@@ -12,12 +12,12 @@ import symbid_ros as sy
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.group_moments import GROUPS, SECOND, Grouping
-from symbid_ros.identification import warming
-from symbid_ros.identification.aligned_log import AlignedLog
-from symbid_ros.identification.force_errors import ForceRows
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.predictions.force_errors import ForceRows
+from symbid_ros.identification.predictions.predictor import ForcePredictor
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.identification.stored_information import with_constant_friction
+from symbid_ros.identification.terms import warming
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.warming import NODES, is_change

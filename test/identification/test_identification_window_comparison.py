@@ -9,7 +9,7 @@ from gaussian_logs import gaussian_log, prior_of
 from symbid_ros.estimation.alarms import SUSPICIOUS_NOISE
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
-from symbid_ros.identification.window_comparison import (
+from symbid_ros.identification.rows.window_comparison import (
     COMPARABLE,
     WindowComparison,
     WindowSelector,

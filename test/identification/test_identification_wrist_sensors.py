@@ -13,9 +13,9 @@ from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import diagnose, identify
-from symbid_ros.identification.comparison import compare
+from symbid_ros.identification.predictions.comparison import compare
+from symbid_ros.identification.predictions.validation import validate
 from symbid_ros.identification.report_data import load_report_data
-from symbid_ros.identification.validation import validate
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log

@@ -9,7 +9,7 @@ from live_feed import feed_of
 from scipy.interpolate import CubicSpline
 
 from symbid_ros.bags import bag_log, read_streams
-from symbid_ros.identification.aligned_log import AlignedLog
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.model.load import load_model
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.package_paths import config_file

@@ -16,8 +16,8 @@ from symbid_ros.bags import read_streams
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.archive import write_archive
-from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.rows.dataset import Processing, fold_dataset
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

@@ -13,7 +13,7 @@ from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError
-from symbid_ros.identification.aligned_log import AlignedLog
+from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.messages.types import IMU, read_leading_stamp

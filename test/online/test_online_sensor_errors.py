@@ -11,8 +11,8 @@ from live_feed import Feed, feed_of
 
 from symbid_ros.bags import bag_log
 from symbid_ros.errors import DataError
+from symbid_ros.identification.calibration.tares import Tare, read_tare
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.tares import Tare, read_tare
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.online.identification import OnlineIdentification, Pace

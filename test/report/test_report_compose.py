@@ -9,8 +9,8 @@ from random_robots import random_robot, random_samples
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.identification.evaluation import TrueMotion
-from symbid_ros.identification.realistic_prediction import RealisticMotion
+from symbid_ros.identification.predictions.evaluation import TrueMotion
+from symbid_ros.identification.predictions.realistic_prediction import RealisticMotion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.compose import GroundTruth, compose
 from symbid_ros.report.content import METRICS, PRIOR, REALISTIC_METRICS, TRUTH

@@ -14,7 +14,7 @@ from symbid_ros.estimation.alarms import (
     SUSPICIOUS_WHITENESS,
 )
 from symbid_ros.estimation.unexplained import UnexplainedForce
-from symbid_ros.identification.intervals import IntervalSummary
+from symbid_ros.identification.predictions.intervals import IntervalSummary
 from symbid_ros.report.content import (
     METRICS,
     REALISTIC_METRICS,

@@ -8,7 +8,7 @@ from report_pages import VERDICT, content, content_of_a_log
 
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.estimation.unexplained import UnexplainedForce
-from symbid_ros.identification.calibration import ASSUMED, WITH_PAYLOAD
+from symbid_ros.identification.calibration.extended_problem import ASSUMED, WITH_PAYLOAD
 from symbid_ros.report.content import MethodResult
 from symbid_ros.report.first_screen import (
     error_bars,

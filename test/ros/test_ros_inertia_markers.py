@@ -12,7 +12,7 @@ from rclpy.node import Node
 from visualization_msgs.msg import Marker, MarkerArray
 
 from symbid_ros.estimation.change import LinkChange
-from symbid_ros.identification.change_monitor import Change
+from symbid_ros.identification.rows.change_monitor import Change
 from symbid_ros.model.load import load_model
 from symbid_ros.model.rotation import rotation_from_xyzw
 from symbid_ros.package_paths import config_file

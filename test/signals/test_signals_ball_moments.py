@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.identification.aligned_log import AlignedLog, joined_segments
+from symbid_ros.identification.rows.aligned_log import AlignedLog, joined_segments
 from symbid_ros.model.load import load_model
 from symbid_ros.signals.log import Log
 

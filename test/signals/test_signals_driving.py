@@ -6,7 +6,7 @@ from random_logs import LogPlan, random_streams, write_bag
 from random_robots import random_robot
 
 from symbid_ros.errors import DataError
-from symbid_ros.identification.aligned_log import AlignedLog, joined_segments
+from symbid_ros.identification.rows.aligned_log import AlignedLog, joined_segments
 from symbid_ros.messages.types import (
     IMU,
     ODOMETRY,

@@ -13,7 +13,10 @@ from report_pages import series
 from tree_simulation import TreeSimulation
 
 from symbid_ros.errors import StudyError
-from symbid_ros.identification.realistic_prediction import evaluate_realistic, predict_realistic
+from symbid_ros.identification.predictions.realistic_prediction import (
+    evaluate_realistic,
+    predict_realistic,
+)
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

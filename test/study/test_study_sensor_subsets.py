@@ -14,8 +14,8 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.dataset import Processing, read_dataset
 from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.rows.dataset import Processing, read_dataset
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

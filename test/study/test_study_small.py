@@ -19,9 +19,9 @@ from small_study import PLAN, SmallStudy, run_inline
 
 from symbid_ros.bags import bag_log
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.dataset import Processing, read_dataset
-from symbid_ros.identification.evaluation import evaluate
+from symbid_ros.identification.predictions.evaluation import evaluate
 from symbid_ros.identification.problem import Problem, Truncation
+from symbid_ros.identification.rows.dataset import Processing, read_dataset
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

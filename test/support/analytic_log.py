@@ -10,8 +10,8 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import RowLayout
-from symbid_ros.identification.calibration import calibration_windows
-from symbid_ros.identification.dataset import Dataset
+from symbid_ros.identification.calibration.extended_problem import calibration_windows
+from symbid_ros.identification.rows.dataset import Dataset
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples
 

@@ -1,0 +1,1 @@
+"""What an estimate leaves unexplained, and the likely cause."""
