@@ -50,7 +50,6 @@ class Kind(Enum):
     UNSIGNED_EFFORT = "unsigned_effort"
     EFFORT_NOISE = "effort_noise"
     FOLLOWER_EFFORT = "follower_effort"
-    NO_MOMENT = "no_moment"
     MISSING_JOINT = "missing_joint"
     UNKNOWN_JOINT = "unknown_joint"
     REORDERED_JOINTS = "reordered_joints"

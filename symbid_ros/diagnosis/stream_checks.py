@@ -1,6 +1,6 @@
 """Checks of single streams, slice by slice while a log is read."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from symbid_ros.diagnosis.effort_findings import NO_CONVERSIONS, SignConversions
@@ -59,8 +59,6 @@ class StreamChecks:
     _freeze_detector: FreezeDetector = field(default_factory=FreezeDetector)
     _saturation_detector: SaturationDetector = field(default_factory=SaturationDetector)
     _defects: tuple[DefectCounts, ...] = ()
-    # Whether each topic ever had a force, and a moment.
-    _has_values: dict[str, tuple[bool, bool]] = field(default_factory=dict)
     _faults: list[str] = field(default_factory=list)
     _silent: list[FaultSpan] = field(default_factory=list)
 
@@ -81,10 +79,6 @@ class StreamChecks:
             self._quaternion_checks.setdefault(imu.topic, QuaternionCheck(imu.topic)).add(piece)
             if imu.topic not in differentiated:
                 self._imu_checks.setdefault(imu.topic, ImuCheck(imu.topic)).add(imu)
-        for wrench in streams.wrenches:
-            force, moment = self._has_values.get(wrench.topic, (False, False))
-            force, moment = force or bool(wrench.force.any()), moment or bool(wrench.torque.any())
-            self._has_values[wrench.topic] = force, moment
         if self._joint_check is None:
             self._joint_check = JointCheck(
                 streams.joints.topic, streams.joints.names, streams.is_arrays
@@ -126,7 +120,6 @@ class StreamChecks:
             *self._saturation_detector.findings(),
             *(one for each in self._quaternion_checks.values() for one in each.findings()),
             *self.unit_findings(),
-            *self._moment_findings(),
             *self.named,
         ]
 
@@ -141,29 +134,6 @@ class StreamChecks:
     def _limited(self) -> set[tuple[str, str]]:
         """Saturated channels."""
         return {(topic, name) for topic, name, _ in self._saturation_detector.limits}
-
-    def _moment_findings(self) -> Iterator[Finding]:
-        """Yield a finding for each sensor of forces alone whose point of contact is unknown.
-
-        On a ball it is known: see :mod:`symbid_ros.signals.ball_moments`.
-        """
-        if self.model is None:
-            return
-        known = {frame.name for frame in self.model.frames if frame.radius}
-        known |= set(() if self.model.contacts is None else self.model.contacts.frames)
-        for frame, topic in self.wrench_topics.items():
-            force, moment = self._has_values[topic]
-            if force and not moment and frame not in known:
-                yield Finding.of(
-                    topic,
-                    Kind.NO_MOMENT,
-                    "reads forces but no moments (all are zero), so the forces are taken to act at "
-                    f"the origin of {frame}; if they act elsewhere, name a frame there as "
-                    f"`rename_frame` {frame}:=NAME, or let the foot in the model end in one ball "
-                    f"about {frame}",
-                    {},
-                    Severity.WARNING,
-                )
 
     def _silence_findings(self, source: str) -> list[Finding]:
         if not self._faults:

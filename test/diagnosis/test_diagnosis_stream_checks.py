@@ -101,28 +101,6 @@ def test_each_check_hears_of_each_slice():
     assert {one.kind for one in unusable(found.values())} == {Kind.UNIT}
 
 
-def test_forces_without_moments_need_a_known_point_of_contact():
-    ball = [replace(frame, radius=0.02) for frame in MODEL.frames if frame.name == "wrench_0"]
-    others = [frame for frame in MODEL.frames if frame.name != "wrench_0"]
-    on_a_ball = replace(MODEL, frames=(*others, *ball))
-    for model, with_moment, count in ((MODEL, 2, 1), (MODEL, 1, 0), (on_a_ball, 2, 0)):
-        checks = StreamChecks(model)
-        for number in range(2):
-            given = streams(400 * number)
-            (wrench,) = given.wrenches
-            if number != with_moment:
-                wrench = replace(wrench, torque=np.zeros_like(wrench.torque))
-            checks.take(piece(replace(given, wrenches=(wrench,))))
-        found = [one for one in checks.findings("log") if one.kind is Kind.NO_MOMENT]
-        assert [(one.stream, one.severity) for one in found] == [
-            ("/wrench", Severity.WARNING)
-        ] * count
-    silent = replace(wrench, force=0 * wrench.force)
-    checks = StreamChecks(MODEL)
-    checks.take(piece(replace(given, wrenches=(silent,))))
-    assert Kind.NO_MOMENT not in {one.kind for one in checks.findings("log")}
-
-
 def test_topics_are_compared_with_the_whole_recording():
     checks = StreamChecks(None)
     given = streams(0, 1000)
