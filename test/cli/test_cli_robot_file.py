@@ -19,6 +19,7 @@ from rclpy.node import Node
 from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
+from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
@@ -221,7 +222,7 @@ def test_a_load_that_the_model_lacks_is_no_unit(tmp_path) -> None:
     assert not {"effort_scale", "drive_gain"} & set(setup.options)
     said = [line for lines in setup.comments.values() for line in lines]
     assert any("add the tool or payload to the model" in line for line in said)
-    assert not setup.is_usable
+    assert Kind.MISSING_BODY in {one.kind for one in setup.diagnosis.findings}
 
 
 def test_one_joint_does_not_tell_the_unit_of_all_others(tmp_path) -> None:
