@@ -1,4 +1,4 @@
-"""A body that the model lacks is told from wrong factors of efforts."""
+"""The doctor distinguishes a body that the model lacks from wrong factors of efforts."""
 
 from dataclasses import replace
 

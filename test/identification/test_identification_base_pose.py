@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from live_feed import feed_of
-from quadruped_log import FEET, quadruped_urdf, standing_log
+from quadruped_log import FEET, inaccurate, load_quadruped, standing_log
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.bags import BagWriter
 from symbid_ros.errors import DataError, ModelError
-from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import identify
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
@@ -27,8 +26,6 @@ from symbid_ros.messages.types import (
     pose_layout,
     wrench_layout,
 )
-from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import load_bag
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
@@ -42,15 +39,12 @@ PLATES = {"plate_link": tuple(f"/{foot}/wrench:={foot}" for foot in FEET)}
 
 @pytest.fixture(scope="module")
 def true_robot(tmp_path_factory):
-    path = tmp_path_factory.mktemp("model") / "quadruped.urdf"
-    path.write_text(quadruped_urdf())
-    return load_model(path)
+    return load_quadruped(tmp_path_factory.mktemp("model"))
 
 
 @pytest.fixture(scope="module")
 def robot(true_robot):
-    parameters = ParameterSet(true_robot)
-    return parameters.apply(draw_prior(parameters, "consistent", 25, 1).mean)
+    return inaccurate(true_robot)
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from live_feed import feed_of
-from quadruped_log import FEET, RATE, quadruped_urdf, record_log, standing_log
+from quadruped_log import (
+    FEET,
+    RATE,
+    inaccurate,
+    load_quadruped,
+    quadruped_urdf,
+    record_log,
+    standing_log,
+)
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import diagnose, identify
 from symbid_ros.identification.conventions.assumed_contacts import assumed_contacts, chain_ends
 from symbid_ros.identification.loaded_problem import load_information, load_problem
@@ -36,15 +43,12 @@ POINTS = tuple(f"{foot}:point" for foot in FEET)
 
 @pytest.fixture(scope="module")
 def true_robot(tmp_path_factory):
-    path = tmp_path_factory.mktemp("model") / "quadruped.urdf"
-    path.write_text(quadruped_urdf())
-    return load_model(path)
+    return load_quadruped(tmp_path_factory.mktemp("model"))
 
 
 @pytest.fixture(scope="module")
 def robot(true_robot):
-    parameters = ParameterSet(true_robot)
-    return parameters.apply(draw_prior(parameters, "consistent", 25, 1).mean)
+    return inaccurate(true_robot)
 
 
 @pytest.fixture(scope="module")

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from quadruped_log import FEET, quadruped_urdf, standing_log
+from quadruped_log import FEET, inaccurate, load_quadruped, standing_log
 
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import identify
 from symbid_ros.identification.loaded_problem import load_information
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
 
@@ -22,15 +20,12 @@ OPTIONS = {"joint_terms": "none", "no_holdout": True}
 
 @pytest.fixture(scope="module")
 def true_robot(tmp_path_factory):
-    path = tmp_path_factory.mktemp("model") / "quadruped.urdf"
-    path.write_text(quadruped_urdf())
-    return load_model(path)
+    return load_quadruped(tmp_path_factory.mktemp("model"))
 
 
 @pytest.fixture(scope="module")
 def robot(true_robot):
-    parameters = ParameterSet(true_robot)
-    return parameters.apply(draw_prior(parameters, "consistent", 25, 1).mean)
+    return inaccurate(true_robot)
 
 
 @pytest.fixture(scope="module")

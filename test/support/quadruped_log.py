@@ -12,6 +12,7 @@ from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
+from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.messages.types import (
     BOOL,
     IMU,
@@ -25,6 +26,7 @@ from symbid_ros.messages.types import (
     pose_layout,
     wrench_layout,
 )
+from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 
 RATE = 250
@@ -71,6 +73,19 @@ def quadruped_urdf() -> str:
             f'<child link="{leg}_foot"/><origin xyz="0 0 -0.28"/></joint>'
         )
     return f'<robot name="quadruped">{"".join(parts)}</robot>'
+
+
+def load_quadruped(folder):
+    """Return the robot, read from a file in a folder."""
+    path = folder / "quadruped.urdf"
+    path.write_text(quadruped_urdf())
+    return load_model(path)
+
+
+def inaccurate(true_robot):
+    """Return the robot as a model file has it, with links that are off by up to 25 %."""
+    parameters = ParameterSet(true_robot)
+    return parameters.apply(draw_prior(parameters, "consistent", 25, 1).mean)
 
 
 def standing_log(model, seconds, seed, friction=0.1, *, captured=False, steps=False):
