@@ -153,6 +153,9 @@ class Estimate:
         First and last stamp, ns, of each part of the log during which friction changes.
     contacts : tuple of str
         ``FRAME`` or ``FRAME:point`` of each contact whose wrench was not measured.
+    force_only : tuple of str
+        ``FRAME:RADIUS`` of each foot sensor that measures forces alone, at the lowest point of a
+        ball.
     gravity : (3,) tuple of float, or None
         Gravity in the axes of a fixed base, m/s²; None for a floating base, and in files of
         earlier releases.
@@ -189,6 +192,7 @@ class Estimate:
     load_reference: dict[str, float] = field(default_factory=dict)
     courses: tuple[Course, ...] = ()
     contacts: tuple[str, ...] = ()
+    force_only: tuple[str, ...] = ()
     gravity: tuple[float, ...] | None = None
     provenance: Provenance | None = None
 

@@ -64,6 +64,7 @@ def estimate_document(estimate: Estimate) -> dict[str, object]:
         "load_reference": estimate.load_reference,
         "changes_ns": [list(one) for one in estimate.courses],
         "contacts": list(estimate.contacts),
+        "force_only": list(estimate.force_only),
         "gravity": None if estimate.gravity is None else list(estimate.gravity),
         "provenance": _entry(estimate.provenance),
     }
@@ -135,6 +136,7 @@ def load_estimate(path: Path) -> Estimate:
             load_reference=_numbers(document, "load_reference"),
             courses=tuple((int(a), int(b)) for a, b in document.get("changes_ns", ())),
             contacts=tuple(map(str, document.get("contacts", ()))),
+            force_only=tuple(map(str, document.get("force_only", ()))),
             gravity=_vector(document.get("gravity")),
             provenance=_provenance(document.get("provenance")),
         )

@@ -40,6 +40,9 @@ from symbid_ros.signals.given_arrays import number_array
 from symbid_ros.signals.joined_log import as_one_log
 from symbid_ros.signals.log import Log
 
+# Options that an identification sets if the log shows them.
+FOUND_IN_LOGS = "contact", "gravity", "force_only"
+
 
 @on_one_blas_thread
 def identify(
@@ -92,7 +95,7 @@ def identify(
     else:
         problem = load_problem(robot, log, options)
         problem, found = identify_problem(problem)
-        found_out = {name: getattr(problem.options, name) for name in ("contact", "gravity")}
+        found_out = {name: getattr(problem.options, name) for name in FOUND_IN_LOGS}
         options = replace(options, **found_out)
     return Result(found.estimate, options, found, problem.parameters)
 

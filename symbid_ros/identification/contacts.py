@@ -18,11 +18,12 @@ def with_robot_options(robot: RobotModel, options: RobotOptions) -> RobotModel:
     Raises
     ------
     ModelError
-        When a frame or link is unknown, or the contacts explain any motion.
+        When a frame or link is unknown, the contacts explain any motion, or a foot whose sensor
+        measures forces alone is no ball.
     OptionError
         When the direction of gravity is given for a floating base.
     """
-    robot = robot.with_gravity(options.gravity)
+    robot = robot.with_gravity(options.gravity).with_force_only(options.force_only_sensors)
     return with_contacts(with_wrist_sensors(robot, options.wrist_sensors), options.contacts)
 
 

@@ -23,6 +23,7 @@ from symbid_ros.identification.calibration.tares import Tare, read_tare
 from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.conventions.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.conventions.base_gravity import with_found_gravity
+from symbid_ros.identification.conventions.foot_moments import with_found_moments
 from symbid_ros.identification.conventions.position_units import refuse_degrees
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks, ModelWatch, check_dataset
@@ -260,7 +261,9 @@ def _corrected(
         refuse_degrees(dataset.segments, parameters.model, dataset.source)
     if options.drive_gains:  # signs and units of the efforts are unknown
         return options
-    return with_found_gravity(options, parameters.model, dataset.segments, dataset.source)
+    model, segments = parameters.model, dataset.segments
+    options = with_found_gravity(options, model, segments, dataset.source)
+    return with_found_moments(options, model, segments, dataset.source)
 
 
 def _digests(robot: RobotModel, options: IdentifyOptions, log: Log | None = None) -> InputDigests:

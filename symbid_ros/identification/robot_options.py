@@ -38,9 +38,23 @@ class RobotOptions(MountingOptions):
         group=GROUP,
     )
 
+    force_only: tuple[str, ...] = option(
+        (),
+        "Frames of foot sensors that measure forces alone, comma-separated. The force acts at the "
+        "lowest point of the model's ball about the frame, and has the moment that follows; "
+        "FRAME:RADIUS gives the ball's radius, m. none: zero moments in the log are measured.",
+        group=GROUP,
+        unset="those with a ball whose moments are zero in the log, if the log shows the radius",
+    )
+
     def __post_init__(self) -> None:
         """Refuse invalid values."""
         super().__post_init__()
+        for name in self.force_only_sensors:
+            if ":" in name and not is_radius(name.partition(":")[2]):
+                raise OptionError(
+                    f"`force_only`: {name!r} is not a sensor; give FRAME or FRAME:RADIUS", "E501"
+                )
         for name in self.contacts:
             if not is_contact_kind(name.partition(":")[2]):
                 raise OptionError(
@@ -59,11 +73,20 @@ class RobotOptions(MountingOptions):
         """The frames of contacts without a sensor, as FRAME or FRAME:point."""
         return tuple(names(self.contact))
 
+    @cached_property
+    def force_only_sensors(self) -> tuple[str, ...]:
+        """The sensors that measure forces alone, as FRAME or FRAME:RADIUS."""
+        found = tuple(names(self.force_only))
+        return () if found == ("none",) else found
+
 
 def is_contact_kind(text: str) -> bool:
     """Return whether a text is ``point``, ``surface``, a radius in m or empty."""
-    if text in ("", "point", "surface"):
-        return True
+    return text in ("", "point", "surface") or is_radius(text)
+
+
+def is_radius(text: str) -> bool:
+    """Return whether a text is a radius in m."""
     try:
         return 0.0 <= float(text) < LARGEST_RADIUS
     except ValueError:

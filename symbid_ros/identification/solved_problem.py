@@ -38,6 +38,7 @@ from symbid_ros.identification.rows.window_comparison import (
 from symbid_ros.identification.terms.remarks import joints_without_rows
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import force_only_sensors
 from symbid_ros.model.wrist_sensors import links_beyond, sensor_names
 from symbid_ros.package_paths import package_version
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN
@@ -466,6 +467,7 @@ class SolvedProblem:
             load_reference=_load_reference(parameters),
             courses=tuple(one for one in parameters.courses if one[0] >= 0),  # of this log
             contacts=() if contacts is None else contacts.names,
+            force_only=force_only_sensors(parameters.model),
             gravity=None if parameters.model.floating else tuple(parameters.model.gravity.tolist()),
         )
 

@@ -127,6 +127,9 @@ class Frame:
         Pose of the frame in the link's frame.
     radius : float
         Of the ball about its origin that can touch the ground, m; zero if there is none.
+    below : float
+        How far below its origin the force of its sensor acts if that measures no moments, m; zero
+        for other sensors.
     """
 
     name: str
@@ -134,6 +137,12 @@ class Frame:
     rotation: FloatArray
     translation: FloatArray
     radius: float = 0.0
+    below: float = 0.0
+
+
+def force_only_sensors(model: "RobotModel") -> tuple[str, ...]:
+    """Return the sensors that measure forces alone, as :meth:`RobotModel.with_force_only`."""
+    return tuple(f"{one.name}:{one.below:.6g}" for one in model.frames if one.below)
 
 
 def with_radii_of_balls(frames: Iterable[Frame]) -> tuple[Frame, ...]:
@@ -416,6 +425,33 @@ class RobotModel:
         """Return the same robot with the inertias (L, 10) of ``phi``."""
         links = tuple(replace(link, phi=row) for link, row in zip(self.links, phi, strict=True))
         return replace(self, links=links)
+
+    def with_force_only(self, sensors: Sequence[str]) -> "RobotModel":
+        """Return the same robot of which some wrench sensors measure forces alone.
+
+        Parameters
+        ----------
+        sensors : sequence of str
+            ``FRAME:RADIUS`` with the radius of the ball about the frame's origin at whose lowest
+            point the force acts, m, or ``FRAME`` for that of the model.
+
+        Raises
+        ------
+        ModelError
+            When the robot has no such frame, or no ball about its origin.
+        """
+        below = {}
+        for name, _, radius in (one.partition(":") for one in sensors):
+            frame = self.frame(name, "force_only")
+            below[name] = float(radius) if radius else frame.radius
+            if frame not in self.frames or not (radius or frame.radius):
+                raise ModelError(
+                    f"{self.source}: `force_only`: no ball is about the origin of {name}; give "
+                    f"{name}:RADIUS (m), or the frame at the center of the foot's ball",
+                    "E124",
+                )
+        frames = (replace(one, below=below.get(one.name, one.below)) for one in self.frames)
+        return replace(self, frames=tuple(frames))
 
     def with_gravity(self, direction: Sequence[float] | None) -> "RobotModel":
         """Return the same robot on which gravity points in another direction (3,), in base axes.

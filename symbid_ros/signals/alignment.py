@@ -15,6 +15,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, distinct
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.ball_moments import with_moments_of_balls
 from symbid_ros.signals.defects import typical_period
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
 from symbid_ros.signals.joint_clock import sampled_joints
@@ -111,7 +112,7 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
         )
     for segment in segments:
         _check_flight(segment, streams.source)
-    return segments
+    return tuple(with_moments_of_balls(segment, model) for segment in segments)
 
 
 def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:

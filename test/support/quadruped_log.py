@@ -88,12 +88,13 @@ def inaccurate(true_robot):
     return parameters.apply(draw_prior(parameters, "consistent", 25, 1).mean)
 
 
-def standing_log(model, seconds, seed, friction=0.1, *, captured=False, steps=False):
+def standing_log(model, seconds, seed, friction=0.1, *, captured=False, steps=False, radius=0.0):
     """Return what its sensors read by topic: stamps (N,), s, and named columns.
 
     ``captured`` adds the base's pose and the wrench of each foot in world axes about the world's
     origin, as motion capture and force plates give them. With ``steps`` it lifts one foot after
-    the other, and the topics ``/<foot>/contact`` tell which of them touch the ground.
+    the other, and the topics ``/<foot>/contact`` tell which of them touch the ground. The ground
+    pushes each foot ``radius``, m, below its frame.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * RATE)) / RATE
@@ -122,11 +123,13 @@ def standing_log(model, seconds, seed, friction=0.1, *, captured=False, steps=Fa
     jacobian = contact_jacobian(model, FEET, link_poses(model, position))
     # Points carry no moment; the load wanders between the feet.
     share = closed * (1 + 0.6 * waves(rng, time, (len(FEET),), 1.0)[0])
-    weight = np.kron(share, [0, 0, 0, 1, 1, 1])
-    reach = np.swapaxes(jacobian[:, :, :6], 1, 2)
+    weight = np.kron(share, [1, 1, 1])
+    of_force = _wrenches_of_forces(model, position, rotation, radius)
+    reach = np.swapaxes(jacobian[:, :, :6], 1, 2) @ of_force
     response = (reach * weight[:, None]) @ np.swapaxes(reach, 1, 2)
     carried = np.linalg.solve(response, owed[:, :6, None])
-    wrench = weight * np.einsum("nji,nj->ni", reach, carried[:, :, 0])
+    force = weight * np.einsum("nji,nj->ni", reach, carried[:, :, 0])
+    wrench = np.einsum("nij,nj->ni", of_force, force)
     effort = owed[:, 6:] - np.einsum("nij,ni->nj", jacobian[:, :, 6:], wrench)
     load = friction * np.sqrt(np.mean(effort**2, axis=0))
     effort = effort + load * (np.tanh(rate / 0.02) + 0.3 * rate)
@@ -213,6 +216,19 @@ def record_log(log, model, path: Path) -> Path:
         for when, channel, payload in sorted(messages, key=lambda each: each[0]):
             writer.write(channel, when, payload)
     return path
+
+
+def _wrenches_of_forces(model, position, rotation, radius):
+    """Return (N, 24, 12): moment and force at each foot's frame of forces at points below it."""
+    poses = link_poses(model, position)
+    found = np.zeros((len(position), len(FEET), 6, len(FEET), 3))
+    for index, foot in enumerate(FEET):
+        frame = model.frame(foot)
+        upward = (rotation @ poses.rotation[:, frame.link] @ frame.rotation)[:, 2]
+        for axis, unit in enumerate(np.eye(3)):
+            found[:, index, :3, index, axis] = np.cross(-radius * upward, unit)
+            found[:, index, 3:, index, axis] = unit
+    return found.reshape(len(position), 6 * len(FEET), 3 * len(FEET))
 
 
 def _derivative(time, values, order):

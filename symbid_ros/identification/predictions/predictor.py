@@ -151,7 +151,8 @@ class ForcePredictor:
         """
         saved = load_estimate(folder / "estimate.json")
         found = load_estimated_model(folder, load_result_robot(folder, saved))
-        model = with_all_rows(with_contacts(found.parameters.model, saved.contacts))
+        model = found.parameters.model.with_force_only(saved.force_only)
+        model = with_all_rows(with_contacts(model, saved.contacts))
         found = replace(found, parameters=replace(found.parameters, model=model))
         estimate = found.estimate
         if estimate is None:

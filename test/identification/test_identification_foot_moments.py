@@ -1,0 +1,123 @@
+"""Foot sensors that read forces without moments, on feet that are balls."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from quadruped_log import FEET, inaccurate, quadruped_urdf, standing_log
+
+import symbid_ros as sy
+from symbid_ros.errors import ModelError, OptionError
+from symbid_ros.estimation.estimate_file import load_estimate
+from symbid_ros.identification.contacts import with_robot_options
+from symbid_ros.identification.conventions.foot_moments import find_foot_moments
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.predictions.validation import validate
+from symbid_ros.identification.robot_options import RobotOptions
+from symbid_ros.identification.rows.aligned_log import AlignedLog, joined_segments
+from symbid_ros.signals.log import Log
+
+RADIUS = 0.03
+DEPTH = 0.024  # of the points at which soft ground pushes, below the centers of the balls
+BALL = f'<collision><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
+SETTINGS = {"joint_terms": ("none",), "window": 0.161}
+
+
+@pytest.fixture(scope="module")
+def true_robot(tmp_path_factory):
+    text = quadruped_urdf()
+    for foot in FEET:
+        text = text.replace(f'<link name="{foot}"/>', f'<link name="{foot}">{BALL}</link>')
+    path = tmp_path_factory.mktemp("model") / "quadruped.urdf"
+    path.write_text(text)
+    return sy.load_model(path)
+
+
+@pytest.fixture(scope="module")
+def robot(true_robot):
+    return inaccurate(true_robot)
+
+
+@pytest.fixture(scope="module")
+def readings(true_robot):
+    return {
+        depth: standing_log(true_robot, 16.0, 3, friction=0.0, radius=depth)
+        for depth in (0.0, DEPTH)
+    }
+
+
+def log_of(robot, readings, *, moments=0.0):
+    joints, imu = readings["/joint_states"], readings["/imu"]
+    factors = np.repeat([1.0, moments], 3)
+    return Log.from_arrays(
+        robot,
+        time=joints["time"],
+        position=joints["position"],
+        effort=joints["effort"],
+        imus={"imu_link": np.hstack([imu["angular_velocity"] - 0.01, imu["linear_acceleration"]])},
+        wrenches={foot: readings[f"/{foot}/wrench"]["wrench"] * factors for foot in FEET},
+    )
+
+
+def segments_of(log, robot):
+    return joined_segments(AlignedLog(log, robot))
+
+
+def test_forces_below_the_frames_have_moments(true_robot, readings):
+    measured = log_of(true_robot, readings[DEPTH], moments=1.0)
+    sensors = tuple(f"{foot}:{DEPTH}" for foot in FEET)
+    robot = with_robot_options(true_robot, RobotOptions(force_only=sensors))
+    for moments in (0.0, 5.0):  # those of the log are not used
+        log = log_of(true_robot, readings[DEPTH], moments=moments)
+        (found,) = segments_of(log, robot)
+        (expected,) = segments_of(measured, true_robot)
+        np.testing.assert_array_equal(found.wrenches[..., 3:], expected.wrenches[..., 3:])
+        left = np.sqrt(np.mean((found.wrenches - expected.wrenches)[..., :3] ** 2))
+        # The moments that were measured have noise, and those from forces the noise of these.
+        assert left < 1.1 * np.hypot(0.01, 0.3 * DEPTH)
+
+
+def test_a_log_shows_where_forces_without_moments_act(
+    robot, true_robot, readings, tmp_path, caplog
+):
+    log = log_of(robot, readings[DEPTH])
+    with caplog.at_level(logging.WARNING):
+        found = sy.identify(robot, log, **SETTINGS)
+    names, radii = zip(*(one.split(":") for one in found.options.force_only), strict=True)
+    assert sorted(names) == sorted(FEET)
+    np.testing.assert_allclose(np.array(radii, dtype=float), DEPTH, atol=5e-4)
+    assert f"{1e3 * float(radii[0]):.1f} mm below" in caplog.text
+    assert not found.alarms
+    asis = sy.identify(robot, log, force_only=("none",), no_holdout=True, **SETTINGS)
+    errors = [np.abs(one.robot.phi - true_robot.phi)[:, :4].sum() for one in (found, asis)]
+    assert errors[0] < 0.4 * errors[1]
+    # A saved result predicts with these moments.
+    found.save(tmp_path)
+    assert load_estimate(tmp_path / "estimate.json").force_only == found.estimate.force_only
+    again = validate(tmp_path, log)
+    assert again.torque.percent_after < 0.5 * again.torque.percent_before
+    assert 0.7 < again.torque.normalized_square < 1.4
+
+
+def test_moments_that_are_right_stay(robot, readings):
+    for depth, moments in ((0.0, 0.0), (DEPTH, 1.0), (0.0, 1.0)):
+        segments = segments_of(log_of(robot, readings[depth], moments=moments), robot)
+        assert find_foot_moments(segments, robot) is None
+    # Without a ball nothing tells where the forces act.
+    bare = replace(robot, frames=tuple(replace(one, radius=0.0) for one in robot.frames))
+    assert find_foot_moments(segments_of(log_of(robot, readings[DEPTH]), robot), bare) is None
+
+
+def test_sensors_are_checked(robot):
+    with pytest.raises(OptionError, match="FRAME:RADIUS"):
+        IdentifyOptions(force_only=("LF_foot:ball",))
+    with pytest.raises(ModelError, match=r"no ball .* imu_link"):
+        with_robot_options(robot, RobotOptions(force_only=("imu_link",)))
+    with pytest.raises(ModelError, match="no frame or link 'hand'"):
+        with_robot_options(robot, RobotOptions(force_only=("hand",)))
+    named = with_robot_options(robot, RobotOptions(force_only=("LF_foot,imu_link:0.01",)))
+    assert {one.name: one.below for one in named.frames if one.below} == {
+        "LF_foot": RADIUS,
+        "imu_link": 0.01,
+    }
