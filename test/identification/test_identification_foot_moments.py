@@ -11,6 +11,7 @@ import symbid_ros as sy
 from symbid_ros.errors import ModelError, OptionError
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification.contacts import with_robot_options
+from symbid_ros.identification.conventions.assumed_contacts import assumed_contacts
 from symbid_ros.identification.conventions.foot_moments import find_foot_moments
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.predictions.validation import validate
@@ -47,7 +48,7 @@ def readings(true_robot):
     }
 
 
-def log_of(robot, readings, *, moments=0.0):
+def log_of(robot, readings, *, moments=0.0, feet=FEET):
     joints, imu = readings["/joint_states"], readings["/imu"]
     factors = np.repeat([1.0, moments], 3)
     return Log.from_arrays(
@@ -56,7 +57,7 @@ def log_of(robot, readings, *, moments=0.0):
         position=joints["position"],
         effort=joints["effort"],
         imus={"imu_link": np.hstack([imu["angular_velocity"] - 0.01, imu["linear_acceleration"]])},
-        wrenches={foot: readings[f"/{foot}/wrench"]["wrench"] * factors for foot in FEET},
+        wrenches={foot: readings[f"/{foot}/wrench"]["wrench"] * factors for foot in feet},
     )
 
 
@@ -107,6 +108,17 @@ def test_moments_that_are_right_stay(robot, readings):
     # Without a ball nothing tells where the forces act.
     bare = replace(robot, frames=tuple(replace(one, radius=0.0) for one in robot.frames))
     assert find_foot_moments(segments_of(log_of(robot, readings[DEPTH]), robot), bare) is None
+
+
+def test_feet_without_sensors_show_where_the_ground_pushes(robot, readings):
+    log = log_of(robot, readings[DEPTH], feet=())
+    found = dict(one.split(":") for one in assumed_contacts(robot, log))
+    assert sorted(found) == sorted(FEET)
+    np.testing.assert_allclose([float(one) for one in found.values()], DEPTH, atol=1e-3)
+    # A radius of the file that explains the log stays.
+    frames = tuple(replace(one, radius=DEPTH * (one.radius > 0)) for one in robot.frames)
+    right = replace(robot, frames=frames)
+    assert set(assumed_contacts(right, log)) == {f"{foot}:{DEPTH}" for foot in FEET}
 
 
 def test_sensors_are_checked(robot):

@@ -13,6 +13,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import LinkPoses, link_poses
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import ModelError
+from symbid_ros.identification.conventions.contact_radii import with_fitted_radii
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.tree import AT_CENTER, Frame, RobotModel
@@ -96,7 +97,11 @@ def assumed_contacts(robot: RobotModel, log: Log) -> tuple[str, ...]:
             found = with_contacts(robot, tuple(f"{frame}{kind}" for frame in frames)).contacts
         except ModelError:
             continue  # unknown wrenches of this kind would explain any motion
-        return () if found is None else found.names
+        if found is None:
+            return ()
+        with warn_once(muted=True):
+            standing = first_segments(log, replace(robot, contacts=found), LONG)
+        return with_fitted_radii(robot, found.names, standing)
     return ()
 
 
