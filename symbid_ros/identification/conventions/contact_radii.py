@@ -10,13 +10,15 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from symbid_ros.dynamics.unmeasured_contacts import contact_radius, with_contacts
-from symbid_ros.identification.conventions.loose_fit import loose_rows, some_blocks
+from symbid_ros.identification.conventions.loose_fit import LooseFit, loose_rows, some_blocks
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
 
 # Another radius has to be likelier by this many nats. Quadrupeds that trot in MuJoCo, whose feet
 # sink in by 5 mm, give 100 to 850 nats within 20 s.
 EVIDENCE = 50.0
+# Where no radius explains the forces (RMS) as well as this, something else is wrong, such as units.
+MOST_LEFT = 0.1
 LARGEST = 1.5  # times the radius of the model file
 TOLERANCE = 0.02  # of that share
 BLOCKS = 8  # of the log that are compared
@@ -41,17 +43,21 @@ def with_fitted_radii(
         return contacts
     blocks = list(islice(some_blocks(segments), BLOCKS))
 
-    def cost(share: float) -> float:
+    def fit(share: float) -> LooseFit | None:
         rows = loose_rows(blocks, with_contacts(robot, _scaled(contacts, radii, share)))
-        return np.inf if rows is None else rows.fit().cost
+        return None if rows is None else rows.fit()
 
-    of_file = cost(1.0)
-    if not np.isfinite(of_file):
+    def cost(share: float) -> float:
+        found = fit(share)
+        return np.inf if found is None else found.cost
+
+    of_file = fit(1.0)
+    if of_file is None or of_file.unexplained > MOST_LEFT:
         return contacts
     best = minimize_scalar(
         cost, bounds=(0.0, LARGEST), method="bounded", options={"xatol": TOLERANCE}
     )
-    return contacts if of_file - best.fun < EVIDENCE else _scaled(contacts, radii, best.x)
+    return contacts if of_file.cost - best.fun < EVIDENCE else _scaled(contacts, radii, best.x)
 
 
 def _scaled(

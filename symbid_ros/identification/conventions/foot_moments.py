@@ -22,6 +22,8 @@ logger = logging.getLogger(__name__)
 # The forces have to be likelier below their frames by this many nats, and by this many for each
 # row. Quadrupeds that trot in MuJoCo give 2400 to 5600 nats within 20 s, 0.7 to 1.6 for each row.
 EVIDENCE, LEAST_GAIN = 50.0, 0.1
+# Where the forces are not explained as well as this (RMS), something else is wrong, such as units.
+MOST_LEFT = 0.1
 LARGEST = 1.5  # times the ball's radius; soft ground makes the distance smaller
 
 
@@ -97,7 +99,8 @@ def find_foot_moments(segments: Iterable[Segment], robot: RobotModel) -> FootMom
     before, after = at_frames.fit(), at_frames.fit((at_frames.y - at_lowest.y)[..., None])
     share = float(after.theta[-1])
     least = max(EVIDENCE, LEAST_GAIN * int(at_frames.valid.sum()))
-    if before.cost - after.cost < least or not 0.0 < share <= LARGEST:
+    is_likelier = before.cost - after.cost >= least and after.unexplained <= MOST_LEFT
+    if not is_likelier or not 0.0 < share <= LARGEST:
         return None
     radii = tuple(share * robot.frame(name).radius for name in names)
     return FootMoments(names, radii, before.unexplained, after.unexplained)
