@@ -80,10 +80,11 @@ class GainProblem:
         body_std: FloatArray,
     ) -> "GainProblem":
         """Return the problem for given deviations of the inertias (p,) and small drive loads."""
-        mean, links = parameters.values, len(std)
+        mean, links = parameters.values.copy(), len(std)
         std = np.concatenate([std, np.zeros(len(mean) - len(std))])
         first = parameters.model.dof - len(parameters.model.joints)
-        load = loads(rows, np.append(mean, np.zeros(len(gains))))[first:]
+        of_links = np.append(mean[:links], np.zeros(len(mean) - links + len(gains)))
+        load = loads(rows, of_links)[first:]
         std[parameters.sensor_offsets] = OFFSET_STD * len(parameters.model.wrist_sensors)
         joints = parameters.joints.tolist()
         for term, columns in parameters.term_columns.items():
@@ -91,6 +92,8 @@ class GainProblem:
                 size = np.sqrt(rows.column_squares(first + joint, column))
                 share = JOINT_TERMS[term].load_share
                 std[column] = share * load[joint] / max(size, 1e-9) + PINNED
+                if abs(mean[column]) * size > load[joint]:
+                    mean[column] = 0.0  # a placeholder in the model file: no effort shows as much
         return cls(rows, mean, std, gains, links, np.append(body_std, std[links:]))
 
     def with_later_efforts(self, delay: float) -> "GainProblem":
