@@ -40,7 +40,6 @@ def estimate_offsets(problem: GainProblem, left: FloatArray) -> GainEstimate:
     left : (n,) float64
         Mean square residual of each coordinate to start with.
     """
-    problem = problem.for_joints
     rows, gains = problem.rows, problem.gains
     std = np.select(
         [gains.is_encoder, gains.is_delay, gains.is_imu], [OFFSET_STD, DELAY_STD, PINNED], GAIN_STD

@@ -48,9 +48,6 @@ class GainProblem:
         Layout of the r unknowns θ that follow φ.
     links : int or None
         Number of inertial parameters, which come first in φ; None if φ has no others.
-    body_std : (p,) float64 or None
-        Like ``std``, but values near zero, such as a centre of mass on an axis, may be off by a
-        quarter of the link's size. Checks of single joints use it.
     lagged : LaggedRows or None
         The same rows with the efforts of other instants; None if delays are small.
     load_noise : (F, J) float64 or None
@@ -65,7 +62,6 @@ class GainProblem:
     std: FloatArray
     gains: GainLayout
     links: int | None = None
-    body_std: FloatArray | None = None
     lagged: LaggedRows | None = None
     load_noise: FloatArray | None = None
     effort_noise: FloatArray | None = None
@@ -77,13 +73,13 @@ class GainProblem:
         parameters: ParameterSet,
         std: FloatArray,
         gains: GainLayout,
-        body_std: FloatArray,
     ) -> "GainProblem":
         """Return the problem for given deviations of the inertias (p,) and small drive loads."""
-        mean, links = parameters.values, len(std)
+        mean, links = parameters.values.copy(), len(std)
         std = np.concatenate([std, np.zeros(len(mean) - len(std))])
         first = parameters.model.dof - len(parameters.model.joints)
-        load = loads(rows, np.append(mean, np.zeros(len(gains))))[first:]
+        of_links = np.append(mean[:links], np.zeros(len(mean) - links + len(gains)))
+        load = loads(rows, of_links)[first:]
         std[parameters.sensor_offsets] = OFFSET_STD * len(parameters.model.wrist_sensors)
         joints = parameters.joints.tolist()
         for term, columns in parameters.term_columns.items():
@@ -91,18 +87,15 @@ class GainProblem:
                 size = np.sqrt(rows.column_squares(first + joint, column))
                 share = JOINT_TERMS[term].load_share
                 std[column] = share * load[joint] / max(size, 1e-9) + PINNED
-        return cls(rows, mean, std, gains, links, np.append(body_std, std[links:]))
+                if abs(mean[column]) * size > load[joint]:
+                    mean[column] = 0.0  # a placeholder in the model file: no effort shows as much
+        return cls(rows, mean, std, gains, links)
 
     def with_later_efforts(self, delay: float) -> "GainProblem":
         """Return the problem of the delays that remain if efforts are read so much later, s."""
         if self.lagged is None or delay == 0.0:
             return self
         return replace(self, rows=self.lagged.shifted(delay))
-
-    @property
-    def for_joints(self) -> "GainProblem":
-        """The problem with the deviations for checks of single joints."""
-        return self if self.body_std is None else replace(self, std=self.body_std)
 
     @property
     def expected(self) -> FloatArray:

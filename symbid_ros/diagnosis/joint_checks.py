@@ -121,7 +121,7 @@ class JointCheck:
         """
         if joints.names != self.names or len(joints.stamp) < 3:
             return
-        self._is_converted = np.array([name in joints.position_scale for name in self.names])
+        self._is_converted = np.isin(self.names, list(joints.position_scale))
         inside = slice(*np.searchsorted(joints.stamp, during).tolist())
         is_finite = np.isfinite(joints.effort[inside])
         self._messages += len(is_finite)

@@ -265,7 +265,7 @@ def _scaled_columns(
     drives = factor[:, links:p]
     norm = np.sqrt(np.sum(drives**2, axis=0) / problem.rows.samples)
     wide = drives[:, norm > 0] * (WIDE * size / norm[norm > 0])
-    inertias = factor[:, :links] * problem.for_joints.std[:links]
+    inertias = factor[:, :links] * problem.std[:links]
     return inertias[:, np.any(inertias != 0, axis=0)], wide
 
 

@@ -170,9 +170,7 @@ class ModelStatistics:
     @property
     def problem(self) -> GainProblem:
         """The estimation problem of the gains and delays."""
-        problem = GainProblem.of(
-            self.rows, self.parameters, self.prior.std, self.gains, self._body_std
-        )
+        problem = GainProblem.of(self.rows, self.parameters, self._body_std, self.gains)
         of_window = HANN / self._window / max(self._samples, 1)
         return replace(
             problem,
@@ -183,7 +181,11 @@ class ModelStatistics:
 
     @property
     def _body_std(self) -> FloatArray:
-        """(p,) deviations of inertias of which every moment is uniform within ±25 %."""
+        """(p,) deviations of inertias of which every moment is uniform within ±25 %.
+
+        A centre of mass on an axis, as of a symmetrical trunk in a model file, may then be off by
+        as much of the link's size.
+        """
         links = self.parameters.link_phi(self.prior.mean)
         std = np.concatenate([body_std(phi, DEFAULT_PERCENT) for phi in links])
         return np.asarray(np.maximum(std, self.prior.std))

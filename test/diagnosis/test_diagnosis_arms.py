@@ -91,6 +91,24 @@ def test_an_effort_beyond_its_limit_is_named_if_friction_hides_its_load(ur5, is_
     assert (line in finding.message) == is_milli
 
 
+@pytest.mark.parametrize("late", [False, True])
+def test_placeholder_friction_in_the_model_hides_neither_motion_nor_delays(ur5, late) -> None:
+    """Files of hands state friction far beyond their efforts."""
+    streams = arm_streams(ur5, SECONDS, 1, friction=0.02)
+    efforts = np.abs(streams.joints.effort).max(axis=0)
+    placeholders = [
+        replace(joint, damping=100 * effort, friction_loss=100 * effort)
+        for joint, effort in zip(ur5.joints, efforts, strict=True)
+    ]
+    if late:
+        effort = np.roll(streams.joints.effort, 3, axis=0)  # of 5 ms each
+        streams = replace(streams, joints=replace(streams.joints, effort=effort))
+    found = judged(replace(ur5, joints=tuple(placeholders)), streams).findings
+    assert [one.kind for one in found] == [Kind.DELAY] * late
+    if late:
+        assert found[0].figures["delay_ms"] == pytest.approx(15, abs=2)
+
+
 def in_degrees(streams: Streams) -> Log:
     joints = streams.joints
     moved = {"position": np.degrees(joints.position), "velocity": np.degrees(joints.velocity)}
