@@ -14,7 +14,12 @@ from symbid_ros.report.content import (
     ReportContent,
     best_labels,
 )
-from symbid_ros.report.data_summary import link_rows, parameter_groups, verdict_entries
+from symbid_ros.report.data_summary import (
+    identified_base,
+    link_rows,
+    parameter_groups,
+    verdict_entries,
+)
 from symbid_ros.report.figures import (
     TORQUES_SHOWN,
     Panel,
@@ -103,6 +108,7 @@ def render(content: ReportContent) -> str:
         "missing_boxes": _missing_boxes(content),
         "verdict": estimate.verdict,
         "measured": describe_combinations(estimate),
+        "base": identified_base(estimate),
         "entries": verdict_entries(estimate),
         "links": link_rows(estimate, com_std),
         "has_com": bool(com_std),
