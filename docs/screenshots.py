@@ -34,7 +34,8 @@ from symbid_ros.model.load import load_model  # noqa: E402
 from symbid_ros.package_paths import config_file  # noqa: E402
 
 COLOURS = 256
-PAYLOAD_TIME, SECONDS = 15.0, 40.0  # s; when the payload is attached, and the picture taken
+# s; when the payload is attached, and the picture taken, while the page still states the change.
+PAYLOAD_TIME, SECONDS = 15.0, 28.0
 LEARNING_SECONDS = 20.0
 # Of each kind of page: name of the picture, width of the window, dark or light, height, px.
 SHOTS = {
