@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from symbid_ros.atomic_write import write_text
 from symbid_ros.identification.report_data import ForceSeries
 from symbid_ros.report.content import (
@@ -233,6 +235,8 @@ def _forces(result: MethodResult, forces: ForceSeries) -> ForcePanels:
             " The short gaps in the curves are normal: forces are averaged within blocks of data, "
             "of 4 s in most logs, and not across their borders."
         )
+    if np.isnan(forces.measured[:, forces.has_rows]).any():
+        what += " Curves have no points where a joint rests or its effort is not used."
     if has_hidden_errors(forces):
         what += " Errors of the original model that exceed the measured force are cut off."
     return ForcePanels(
