@@ -75,8 +75,9 @@ def main() -> None:
         for name, width, dark, height in SHOTS[arguments.kind]:
             picture = photograph(browser, address, (width, height), dark=dark, seconds=seconds)
             path = arguments.out / f"{name}.png"
-            # A palette takes a third of the space, and figures have few colours.
-            picture.quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+            # A palette takes a third of the space, and figures have few colours. An octree would
+            # merge the pale background of the key figures with white.
+            picture.quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
                 path, optimize=True
             )
             print(f"{path}: {path.stat().st_size // 1000} kB")
