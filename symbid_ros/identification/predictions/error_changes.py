@@ -1,6 +1,6 @@
 """Sentences and figures about the errors of two models."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from symbid_ros.identification.predictions.force_errors import (
     SENSOR_PARTS,
@@ -49,6 +49,12 @@ def describe_files(percents: Mapping[str, float], after: float | None) -> str:
     text = f"{errors(lacking)}: {which} cannot contain all joint terms"
     # A file without a larger error may lack terms too, which a trial did not identify.
     return f"{text}; {errors(others)}" if others else text
+
+
+def enumerate_words(words: Iterable[str]) -> str:
+    """Return words as "A, B and C"."""
+    items = list(words)
+    return f"{', '.join(items[:-1])} and {items[-1]}" if len(items) > 1 else "".join(items)
 
 
 def percent_change(before: float, after: float) -> str:
