@@ -34,7 +34,8 @@ from symbid_ros.model.load import load_model  # noqa: E402
 from symbid_ros.package_paths import config_file  # noqa: E402
 
 COLOURS = 256
-PAYLOAD_TIME, SECONDS = 15.0, 40.0  # s; when the payload is attached, and the picture taken
+# s; when the payload is attached, and the picture taken, while the page still states the change.
+PAYLOAD_TIME, SECONDS = 15.0, 28.0
 LEARNING_SECONDS = 20.0
 # Of each kind of page: name of the picture, width of the window, dark or light, height, px.
 SHOTS = {
@@ -74,8 +75,9 @@ def main() -> None:
         for name, width, dark, height in SHOTS[arguments.kind]:
             picture = photograph(browser, address, (width, height), dark=dark, seconds=seconds)
             path = arguments.out / f"{name}.png"
-            # A palette takes a third of the space, and figures have few colours.
-            picture.quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+            # A palette takes a third of the space, and figures have few colours. An octree would
+            # merge the pale background of the key figures with white.
+            picture.quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
                 path, optimize=True
             )
             print(f"{path}: {path.stat().st_size // 1000} kB")

@@ -1,7 +1,7 @@
 """Tables that keep names and numbers whole on a narrow terminal, by continuing below."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD, Box
@@ -47,8 +47,10 @@ def print_table(
     headers = [header for group in groups for header in group]
 
     def part(start: int, stop: int, *, is_dense: bool) -> Table:
-        table = Table(box=style, pad_edge=style is not SIMPLE_HEAD, collapse_padding=is_dense)
-        table.add_column(first, width=width, overflow="fold")
+        is_padded = style is not SIMPLE_HEAD
+        table = Table(box=style, pad_edge=is_padded, collapse_padding=is_dense)
+        # Rich pads the first column on both sides, but measures one side of a dense table.
+        table.add_column(first, width=width + (is_padded and is_dense), overflow="fold")
         for header in headers[start:stop]:
             table.add_column(header, justify="right", no_wrap=True)
         for row in rows:
@@ -66,7 +68,9 @@ def print_table(
     if title is not None:
         console.print(Text(title, style="italic"), soft_wrap=True)
     whole = 0, len(headers)
-    if not (fits(*whole) or fits(*whole, is_dense=True)):
+    ends = list(accumulate(map(len, groups), initial=0))
+    # Names break only where a group would not fit beside them.
+    if not (fits(*whole, is_dense=True) or all(fits(*pair) for pair in pairwise(ends))):
         width = min(names, max(LEAST_NAME, console.width // 3))
     if fits(*whole) or fits(*whole, is_dense=True):
         console.print(part(*whole, is_dense=not fits(*whole)))

@@ -198,7 +198,7 @@ STYLES = {Severity.CLEAN: "green", Severity.WARNING: "yellow", Severity.UNUSABLE
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """Print a log's streams, the findings and the verdict."""
     console = Console(highlight=False)
-    table = Table(pad_edge=False)
+    table = Table()
     table.add_column("stream", overflow="fold")
     for name in ("count", "Hz", "gaps", "gap s"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -382,7 +382,7 @@ def print_validation(found: Validation) -> None:
     if found.coverage is not None and found.normalized_square is not None:
         console.print(
             f"intervals: {100 * found.coverage:.0f} % of the errors lie in their 90 % interval; "
-            f"mean of (error / std)²: {found.normalized_square:.2f}, ideally 1",
+            f"mean of (error / std)²: {significant(found.normalized_square)}, ideally 1",
             soft_wrap=True,
         )
     style = "bold red" if not found.is_recommended else "green" if found.is_covered else "yellow"

@@ -336,7 +336,7 @@ class Estimate:
             frame, _, link = sensor.removeprefix("-").partition(":")
             first = place[f"{link}/m"]
             mass, com, inertia = com_from_phi(self.value[first : first + 10])
-            std = "" if self.std is None else f" ± {self.std[first]:.2g}"
+            std = "" if self.std is None else f" ± {self.std[first]:.3f}"
             largest = float(np.abs(inertia).max())
             decimals = 6 if largest == 0 else max(0, 4 - int(np.floor(np.log10(largest))))
             products = ", ".join(f"{one:.{decimals}f}" for one in inertia[np.triu_indices(3)])
@@ -347,7 +347,7 @@ class Estimate:
                 for kind in ("force", "moment")
             )
             lines += [
-                f"beyond {frame}: {mass:.4g}{std} kg, centre of mass "
+                f"beyond {frame}: {mass:.3f}{std} kg, centre of mass "
                 f"({', '.join(f'{1e3 * one:.1f}' for one in com)}) mm from the sensor, axes of "
                 f"{link}",
                 f"  inertia about it xx, xy, xz, yy, yz, zz: {products} kg m²",

@@ -121,20 +121,21 @@ def joint_limits(
     assumed: list[str] = []
     for name, joint in joints.items():
         given, slides = stated.get(name, {}), joint.kind == "prismatic"
+        unit = "m" if slides else "rad"
         low = max(given.get("lower", -np.inf), joint.lower)
         high = min(given.get("upper", np.inf), joint.upper)
         if not np.isfinite([low, high]).all():
             middle = posture.get(name, 0.0)
             low, high = max(low, middle - RANGE[slides]), min(high, middle + RANGE[slides])
-            assumed.append(f"{name}: position from {low:.3g} to {high:.3g}")
+            assumed.append(f"{name}: position from {low:.3g} to {high:.3g} {unit}")
         fastest = given.get("speed", joint.speed)
         if not 0 < fastest < np.inf:
             fastest = SPEED[slides]
-            assumed.append(f"{name}: velocity {fastest:g}")
+            assumed.append(f"{name}: velocity {fastest:g} {unit}/s")
         quickest = given.get("acceleration", np.inf)
         if not 0 < quickest < np.inf:
             quickest = fastest / SECONDS_TO_SPEED
-            assumed.append(f"{name}: acceleration {quickest:.3g}")
+            assumed.append(f"{name}: acceleration {quickest:.3g} {unit}/s²")
         strongest = given.get("effort", joint.effort)
         if not np.isfinite(strongest):
             assumed.append(f"{name}: effort unlimited")

@@ -123,9 +123,9 @@ def _groups(plan: ExcitationPlan) -> list[dict[str, Any]]:
             "owner": name.rpartition("/")[0],
             "name": name.rpartition("/")[2],
             "unit": unit,
-            "value": significant(value),
-            "before": significant(before, 2),
-            "after": significant(after, 2),
+            "value": significant(value).replace("-", "−"),
+            "before": significant(before, 2).replace("-", "−"),
+            "after": significant(after, 2).replace("-", "−"),
             "determined": bool(determined),
         }
         for name, unit, value, before, after, determined in zip(
@@ -164,6 +164,6 @@ def _notes(plan: ExcitationPlan) -> list[str]:
         f"joint's effort limit, and of positions {sensors.position_noise:g} rad.",
         f"The controller first moves to the start posture within {plan.approach:g} s. Nothing "
         "checks that move for collisions.",
-        *(f"No file states: {each}." for each in problem.limits.assumed),
+        *(f"Assumed, because no file states it: {each}." for each in problem.limits.assumed),
         *(f"Not checked: {each.replace('`', '')}." for each in problem.unchecked),
     ]

@@ -160,7 +160,7 @@ def _log_unwritten(parameters: ParameterSet, estimate: Estimate, out: Path) -> N
             "%s: only estimate.json holds %s; efforts computed from model.urdf or model.xml leave "
             "this out",
             out,
-            " and ".join(lost),
+            ", ".join(lost),
         )
     impossible = _impossible_links(estimate)
     kept = f"impossible bodies, which other programs may refuse: {', '.join(impossible)}"

@@ -317,7 +317,7 @@ class SolvedProblem:
                 std = np.hypot(std, change[masses].sum())
             names = ", ".join(parameters.model.link_names[link] for link in moving)
             yield (
-                f"beyond {frame}: {value[masses].sum():.4g} ± {std:.2g} kg together "
+                f"beyond {frame}: {value[masses].sum():.3f} ± {std:.3f} kg together "
                 f"with the moving {names}; the report states their common centre of mass"
             )
 

@@ -9,7 +9,7 @@ import numpy as np
 from symbid_ros.estimation.alarms import SUSPICIOUS_NOISE, SUSPICIOUS_WHITENESS
 from symbid_ros.estimation.estimate import Estimate, HoldOut
 from symbid_ros.estimation.unexplained import SMALL, SMALL_OF_OWN
-from symbid_ros.estimation.verdict import Verdict
+from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.formatting import ABSENT, fixed, shared_decimals, significant, with_std
 
@@ -222,10 +222,23 @@ class ParameterGroup:
     rows: tuple[ParameterRow, ...]
 
 
+def identified_base(estimate: Estimate) -> tuple[EstimatedQuantity, ...]:
+    """Return the base parameters without joint terms that the data do not need."""
+    if estimate.verdict is None:
+        return ()
+    return tuple(one for one in estimate.verdict.base if one.name not in estimate.fixed)
+
+
 def parameter_groups(estimate: Estimate) -> tuple[ParameterGroup, ...]:
-    """Return one group for each link, in order, then one for the joint parameters."""
+    """Return one group for each link, in order, then one for the joint parameters.
+
+    Joint terms that the data do not need are left out.
+    """
     members: dict[str, list[int]] = {}
+    fixed = estimate.fixed
     for index, name in enumerate(estimate.names):
+        if name in fixed:
+            continue
         owner, _, kind = name.rpartition("/")
         members.setdefault(owner if kind in PARAMETERS else "", []).append(index)
     joints = members.pop("", [])

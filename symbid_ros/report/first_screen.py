@@ -126,7 +126,7 @@ def _files(estimate: Estimate) -> str:
     if holdout is None:
         return ""
     found = describe_files(holdout.file_percents, holdout.percent_after)
-    return f"{found}." if found else ""
+    return f"{found[0].upper()}{found[1:]}." if found else ""
 
 
 def _joined(*sentences: str) -> str:

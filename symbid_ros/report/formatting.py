@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable
 
 ABSENT = "—"
+SMALL = 1e-4  # below which a value and its deviation would have four leading zeros or more
 
 
 def counted(number: float, noun: str) -> str:
@@ -50,10 +51,14 @@ def with_std(value: float, std: float) -> str:
     """Format ``value ± std`` with two significant digits of ``std``.
 
     The value stands alone if ``std`` is zero, negative or not finite. It has one digit where
-    rounding would leave zero of it.
+    rounding would leave zero of it. Small numbers share a power of ten, ``(2.5 ± 2.9)e−06``.
     """
     if not (math.isfinite(std) and std > 0):
         return significant(value)
+    largest = max(abs(value), std)
+    if largest < SMALL:
+        exponent = -math.floor(math.log10(largest))
+        return f"({with_std(value * 10.0**exponent, std * 10.0**exponent)})e−{exponent:02}"
     decimals = shared_decimals([std], 2)
     shown = fixed(value, decimals)
     if decimals == 0 and shown == "0":

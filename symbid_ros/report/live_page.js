@@ -123,6 +123,7 @@
     status(status) {
       byId("state").textContent = status.state;
       list("alarms", status.alarms);
+      byId("followed").textContent = status.followed;
       list("streams", status.streams);
     },
     reset() {

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from symbid_ros.atomic_write import write_text
 from symbid_ros.identification.report_data import ForceSeries
 from symbid_ros.report.content import (
@@ -14,7 +16,12 @@ from symbid_ros.report.content import (
     ReportContent,
     best_labels,
 )
-from symbid_ros.report.data_summary import link_rows, parameter_groups, verdict_entries
+from symbid_ros.report.data_summary import (
+    identified_base,
+    link_rows,
+    parameter_groups,
+    verdict_entries,
+)
 from symbid_ros.report.figures import (
     TORQUES_SHOWN,
     Panel,
@@ -103,6 +110,7 @@ def render(content: ReportContent) -> str:
         "missing_boxes": _missing_boxes(content),
         "verdict": estimate.verdict,
         "measured": describe_combinations(estimate),
+        "base": identified_base(estimate),
         "entries": verdict_entries(estimate),
         "links": link_rows(estimate, com_std),
         "has_com": bool(com_std),
@@ -227,6 +235,8 @@ def _forces(result: MethodResult, forces: ForceSeries) -> ForcePanels:
             " The short gaps in the curves are normal: forces are averaged within blocks of data, "
             "of 4 s in most logs, and not across their borders."
         )
+    if np.isnan(forces.measured[:, forces.has_rows]).any():
+        what += " Curves have no points where a joint rests or its effort is not used."
     if has_hidden_errors(forces):
         what += " Errors of the original model that exceed the measured force are cut off."
     return ForcePanels(

@@ -92,8 +92,7 @@
       this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, context, alpha: true });
       root.classList.add("turnable");
       this.materials = {
-        before: overlay(new THREE.LineMaterial(
-          { linewidth: 1.8, dashed: true, dashSize: 0.06, gapSize: 0.04 })),
+        before: overlay(new THREE.LineMaterial({ linewidth: 1.8, dashed: true })),
         after: overlay(new THREE.LineMaterial({ linewidth: 2 })),
         comBefore: overlay(new THREE.MeshBasicMaterial()),
         comAfter: overlay(new THREE.MeshBasicMaterial()),
@@ -109,7 +108,6 @@
       this.camera.add(lamp);
       this.scene.add(this.camera);
       this.edges = new THREE.LineSegmentsGeometry().setPositions(EDGES);
-      new THREE.LineSegments2(this.edges, this.materials.before).computeLineDistances();
       this.links = scene.links.map(() => this.addLink());
       for (const mesh of scene.meshes) {
         const material = new THREE.MeshLambertMaterial({ side: THREE.DoubleSide });
@@ -142,7 +140,8 @@
         link[key] = object;
         group.add(object);
       };
-      add("before", new THREE.LineSegments2(this.edges, this.materials.before), 2);
+      const dashed = new THREE.LineSegmentsGeometry().setPositions(EDGES);
+      add("before", new THREE.LineSegments2(dashed, this.materials.before), 2);
       add("after", new THREE.LineSegments2(this.edges, this.materials.after), 3);
       add("uncertainty", new THREE.Mesh(UNIT_SPHERE, this.materials.uncertainty), 4);
       add("comBefore", new THREE.Mesh(UNIT_SPHERE, this.materials.comBefore), 5);
@@ -174,6 +173,9 @@
             link[key].scale.fromArray(box.size).clampScalar(1e-4, 1e3);
           }
         }
+        if (data.before) {
+          this.dash(link.before);
+        }
         if (data.com.before) {
           link.comBefore.position.fromArray(data.com.before);
         }
@@ -196,6 +198,18 @@
       this.show();
     }
 
+    // Gives the dashes of all edges one length, although the box is a cube with a scale.
+    dash(box) {
+      const size = box.scale.toArray();
+      if (String(size) === String(box.userData.size)) {
+        return;
+      }
+      box.userData.size = size;
+      box.geometry.setPositions(EDGES.map((place, i) => place * size[i % 3]));
+      box.computeLineDistances();
+      box.geometry.setPositions(EDGES);
+    }
+
     // Measures the robot, and adds the marks of its centre of mass.
     addTotals(scene) {
       const box = new THREE.Box3();
@@ -210,6 +224,8 @@
       }
       const size = box.getSize(new THREE.Vector3());
       this.size = size.length();
+      this.materials.before.dashSize = 0.02 * this.size;
+      this.materials.before.gapSize = 0.013 * this.size;
       const longest = Math.max(size.x, size.y, size.z);
       this.framed = this.framedPoints(box.clone().expandByScalar(BOX_MARGIN * longest), longest);
       this.centre = box.setFromPoints(this.framed).getCenter(new THREE.Vector3());

@@ -196,6 +196,8 @@ def _warnings(view: MonitorView, estimate: RobotEstimate) -> list[RenderableType
     lines = [Text(_count(estimate))]
     if status.streams:
         lines.append(Text(", ".join(map(_stream, status.streams))))
+    if status.followed:
+        lines.append(Text(status.followed))
     warnings = list(status.warnings)
     impossible = [link.name for link in estimate.links if not link.is_possible]
     # The diagnostics report this as well, up to a second later.

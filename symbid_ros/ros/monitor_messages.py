@@ -130,6 +130,7 @@ class IdentifierStatus:
     is_enabled: bool = True
     is_ready: bool = True  # whether all topics have usable messages
     is_judged: bool = True  # whether it can tell if the model explains the data
+    followed: str = ""  # the last change, from which the estimate has started anew
 
     @property
     def no_warning(self) -> str:
@@ -169,6 +170,8 @@ def read_estimate(message: DiagnosticArray) -> RobotEstimate:
 def read_status(statuses: Mapping[str, DiagnosticStatus]) -> IdentifierStatus:
     """Parse the newest statuses of one identifier, by part."""
     estimate, streams = statuses.get("estimate"), statuses.get("streams")
+    change = statuses.get("change")
+    is_followed = change is not None and _level(change) == 0 and "since" in _values(change)
     warnings = [
         f"{LEVELS.get(_level(status), 'stale')}: {status.message}"
         for status in statuses.values()
@@ -181,6 +184,7 @@ def read_status(statuses: Mapping[str, DiagnosticStatus]) -> IdentifierStatus:
         is_enabled=estimate is None or estimate.message != DISABLED,
         is_ready=streams is None or _level(streams) == 0,
         is_judged=estimate is None or estimate.message != TOO_EARLY_TO_FIT,
+        followed=change.message if change is not None and is_followed else "",
     )
 
 

@@ -257,6 +257,7 @@ class WebMonitor:
         return {
             "state": ", ".join(parts),
             "alarms": list(status.warnings),
+            "followed": status.followed,
             "streams": [_stream(stream) for stream in status.streams],
         }
 

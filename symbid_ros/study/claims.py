@@ -3,6 +3,7 @@
 Each function returns None if a method, prior or filter that its claim needs is missing.
 """
 
+from symbid_ros.identification.predictions.error_changes import enumerate_words
 from symbid_ros.report.formatting import significant
 from symbid_ros.study.evidence import (
     COM,
@@ -19,7 +20,6 @@ from symbid_ros.study.evidence import (
     conclude,
     describe_lead,
     enumerate_errors,
-    enumerate_words,
     format_error,
     format_range,
     geometric_mean,

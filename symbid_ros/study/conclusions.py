@@ -7,6 +7,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import GAUSSIAN
+from symbid_ros.identification.predictions.error_changes import enumerate_words
 from symbid_ros.report.content import TRUTH, LinkErrors
 from symbid_ros.report.formatting import significant
 from symbid_ros.simulation.balance import BalanceResult
@@ -20,7 +21,6 @@ from symbid_ros.study.evidence import (
     Evidence,
     compare,
     conclude,
-    enumerate_words,
     holds_by_order,
     holds_by_share,
 )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from symbid_ros.identification.predictions.error_changes import enumerate_words
 from symbid_ros.report.content import METRICS as TITLED
 from symbid_ros.report.formatting import significant
 from symbid_ros.study.plan import PriorSpread
@@ -285,12 +286,6 @@ def format_error(metric: str, value: float) -> str:
 def describe_filter(cutoff: float) -> str:
     """Return a filter in words."""
     return f"filtered at {cutoff:g} Hz" if cutoff else "unfiltered"
-
-
-def enumerate_words(words: Iterable[str]) -> str:
-    """Return words as "A, B and C"."""
-    items = list(words)
-    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
 
 
 def conclude(claim: str, holds: bool | None, finding: str, *reasons: str) -> Conclusion:

@@ -12,6 +12,7 @@ from symbid_ros.atomic_write import staged, write_text
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.package_paths import package_version
 from symbid_ros.report.content import TRUTH, LinkErrors
+from symbid_ros.report.formatting import counted
 from symbid_ros.report.templates import page_template, shared_css, unbroken_units
 from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import thesis
@@ -350,7 +351,8 @@ def _closed_loop_section(results: StudyResults, loop: ClosedLoopPlan) -> Section
             together.setdefault(method, []).extend(found)
     together[TRUTH] = together[TRUTH][:1]
     labelled = {TITLES.get(method, method): runs for method, runs in together.items()}
-    about = f"{loop.moves} moves; priors {', '.join(by_prior)}, estimates from {loop.data} data."
+    moves = counted(loop.moves, "move")
+    about = f"{moves}; priors {', '.join(by_prior)}, estimates from {loop.data} data."
     return Section(
         "closed-loop",
         "Closed loop",

@@ -11,6 +11,7 @@ from symbid_ros.choices import GAUSSIAN, METHODS, Channels, Criterion, Method
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.prior import Kind
 from symbid_ros.package_paths import config_file, share_directory
+from symbid_ros.report.formatting import counted
 from symbid_ros.study.scores import METRICS, REFERENCE
 from symbid_ros.study.sensor_subsets import SensorSubset
 from symbid_ros.user_files import load_yaml
@@ -73,7 +74,8 @@ class SimulatedLog(PlanEntry):
     @property
     def description(self) -> str:
         """What the log contains, with the name of each seed, for readers."""
-        parts = [f"{self.scenario}, {self.moves} moves, motion seed {self.motion_seed}"]
+        moves = counted(self.moves, "move")
+        parts = [f"{self.scenario}, {moves}, motion seed {self.motion_seed}"]
         parts.append(
             f"noise x {self.noise:g}, noise seed {self.noise_seed}" if self.noise else "no noise"
         )

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.identification.predictions.error_changes import enumerate_words
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.content import METRICS as TITLED
 from symbid_ros.report.content import REALISTIC_METRICS, TRUTH
@@ -13,7 +14,7 @@ from symbid_ros.report.formatting import ABSENT
 from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import thesis
 from symbid_ros.study.checks import AccelerationCheck, EquationResidual
-from symbid_ros.study.evidence import describe_filter, enumerate_words
+from symbid_ros.study.evidence import describe_filter
 from symbid_ros.study.plan import Plan
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Scores
 from symbid_ros.study.table import (

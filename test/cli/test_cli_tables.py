@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from report_pages import SENSORS, VERDICT, estimate
+from rich.box import HEAVY_HEAD
 from rich.console import Console
 
 from symbid_ros.cli.fitted_tables import print_table
@@ -108,6 +109,20 @@ def test_a_long_name_stays_in_one_line_if_the_table_fits(capsys, monkeypatch):
     print_table(Console(), "link", (("kg",), ("determined",)), [(name, ["1.0", "3 of 10"])])
     (line,) = [one for one in capsys.readouterr().out.splitlines() if "wam" in one]
     assert line.split() == [name, "1.0", "3", "of", "10"]
+
+
+@pytest.mark.parametrize("width", [48, 50, 80])
+def test_names_stay_whole_beside_the_columns_of_a_group(width, capsys, monkeypatch):
+    """In a frame, whether padded, dense (50 columns) or in parts (48 columns)."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    name = "left_upper_arm_link"
+    headers = ("kg", "± kg"), ("determined",)
+    print_table(
+        Console(), "link", headers, [(name, ["1.000", "0.100", "3 of 10"])], style=HEAVY_HEAD
+    )
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    assert all(name in line for line in lines if "│" in line)
 
 
 class TestMetricsTable:

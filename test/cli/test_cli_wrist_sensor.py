@@ -39,7 +39,7 @@ def document(folder, symbid_here):
         folder / "out",
     )  # fmt: skip
     assert (ended.returncode, ended.stderr) == (0, "")
-    assert "beyond tool0: 1.7 ±" in ended.stdout
+    assert "beyond tool0: 1.700 ±" in ended.stdout
     document = json.loads((folder / "out" / "estimate.json").read_text())
     require_valid("estimate", document)
     return document

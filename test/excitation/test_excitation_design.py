@@ -218,7 +218,12 @@ def test_a_joint_without_limits_gets_stated_defaults(arm):
     limits = joint_limits({"elbow_joint": joint}, {})
     assert (limits.lower[0], limits.upper[0]) == (-np.pi / 2, np.pi / 2)
     assert (limits.speed[0], limits.acceleration[0]) == (1.0, 2.0)
-    assert len(limits.assumed) == 4
+    assert limits.assumed == (
+        "elbow_joint: position from -1.57 to 1.57 rad",
+        "elbow_joint: velocity 1 rad/s",
+        "elbow_joint: acceleration 2 rad/s²",
+        "elbow_joint: effort unlimited",
+    )
 
 
 def test_named_joints_move_alone(arm):

@@ -13,6 +13,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.predictions.error_changes import enumerate_words
 from symbid_ros.identification.predictions.holdout import repeated_share
 from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.model.export_mjcf import mjcf_text
@@ -301,3 +302,11 @@ def test_joints_that_rest_at_the_end_are_named() -> None:
     assert holdout is not None
     assert holdout.advice == "none"
     assert "the joints rest in its last 8 s; leave these out with `stop`" in holdout.summary
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [([], ""), (["A"], "A"), (["A", "B"], "A and B"), (["A", "B", "C"], "A, B and C")],
+)
+def test_names_are_enumerated(words, text):
+    assert enumerate_words(words) == text

@@ -14,6 +14,7 @@ from symbid_ros.estimation.alarms import (
     SUSPICIOUS_WHITENESS,
 )
 from symbid_ros.estimation.unexplained import UnexplainedForce
+from symbid_ros.estimation.verdict import EstimatedQuantity
 from symbid_ros.identification.predictions.intervals import IntervalSummary
 from symbid_ros.report.content import (
     METRICS,
@@ -22,7 +23,7 @@ from symbid_ros.report.content import (
     ReportContent,
     TruncationChoice,
 )
-from symbid_ros.report.data_summary import verdict_entries
+from symbid_ros.report.data_summary import identified_base, parameter_groups, verdict_entries
 from symbid_ros.report.formatting import ABSENT, with_std
 from symbid_ros.report.page import render
 
@@ -219,9 +220,11 @@ class TestEvaluation:
 def test_a_deviation_has_two_digits_and_its_value_the_same_decimals(
     value: float, std: float
 ) -> None:
-    shown, _, deviation = with_std(value, std).replace("−", "-").partition(" ± ")
-    assert float(deviation) == pytest.approx(std, rel=0.051)
-    assert abs(float(shown) - value) <= 0.051 * std
+    numbers, _, exponent = with_std(value, std).replace("−", "-").partition("e")
+    shown, _, deviation = numbers.strip("()").partition(" ± ")
+    scale = 10.0 ** int(exponent or 0)
+    assert scale * float(deviation) == pytest.approx(std, rel=0.051)
+    assert abs(scale * float(shown) - value) <= 0.051 * std
     if "." in deviation:
         assert len(shown.partition(".")[2]) == len(deviation.partition(".")[2])
     else:
@@ -231,3 +234,24 @@ def test_a_deviation_has_two_digits_and_its_value_the_same_decimals(
 @pytest.mark.parametrize("std", [0.0, np.inf, np.nan])
 def test_without_a_deviation_the_value_stands_alone(std: float) -> None:
     assert with_std(-0.25, std) == "-0.250"
+
+
+def test_joint_terms_that_were_not_identified_are_not_listed() -> None:
+    base = content_with_verdict().estimate
+    terms = "knee/viscous", "knee/coulomb"
+    quantities = tuple(EstimatedQuantity(name, "Nm", 0.0, 1e-9, False) for name in terms)
+    estimate = replace(
+        base,
+        names=(*base.names, *terms),
+        units=(*base.units, "Nm s/rad", "Nm"),
+        **{
+            name: None if (one := getattr(base, name)) is None else np.append(one, [0, 0])
+            for name in ("value", "std", "prior")
+        },
+        determined=None,
+        joint_terms={"knee": ("coulomb",)},
+        verdict=replace(base.verdict, base=quantities),
+    )
+    assert [one.name for one in identified_base(estimate)] == ["knee/coulomb"]
+    *_, joints = parameter_groups(estimate)
+    assert [row.name for row in joints.rows] == ["knee/coulomb"]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from symbid_ros.report.formatting import counted, fixed, shared_decimals, significant
+from symbid_ros.report.formatting import counted, fixed, shared_decimals, significant, with_std
 from symbid_ros.report.plotting import downsample
 
 
@@ -43,6 +43,21 @@ def test_decimals_are_shared_by_a_column(values: list[float], decimals: int) -> 
 )
 def test_fixed(value: float | None, text: str) -> None:
     assert fixed(value, 2) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (4.432741, 0.00037, "4.43274 ± 0.00037"),
+        (-0.00026, 0.00029, "−0.00026 ± 0.00029"),
+        (2.5e-6, 2.9e-6, "(2.5 ± 2.9)e−06"),
+        (-1.2e-5, 3e-8, "(−1.2000 ± 0.0030)e−05"),
+        (0.0, 2.9e-8, "(0.0 ± 2.9)e−08"),
+        (1.7, 0.0, "1.70"),
+    ],
+)
+def test_a_value_has_the_digits_of_its_deviation(value: float, std: float, text: str) -> None:
+    assert with_std(value, std) == text
 
 
 class TestDownsample:

@@ -244,6 +244,19 @@ def test_the_caption_explains_gaps_between_blocks() -> None:
     assert "short gaps in the curves are normal" in render(replace(base, methods=(one,)))
 
 
+def test_the_caption_explains_curves_that_end_early() -> None:
+    base = content_of_a_log(2)
+    forces = base.shown.log.forces
+    complete = np.nan_to_num(forces.measured)
+    early = complete.copy()
+    early[-9:, np.flatnonzero(forces.has_rows)[-1]] = np.nan
+    for measured, is_explained in ((complete, False), (early, True)):
+        log = replace(base.shown.log, forces=replace(forces, measured=measured))
+        one = replace(base.shown, log=log)
+        page = render(replace(base, methods=(one,)))
+        assert ("where a joint rests" in page) == is_explained
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [

@@ -47,7 +47,8 @@ def test_values_and_deviations_are_those_of_the_parameters(carrying):
     factor[10:] = 2e-3 * rng.normal(size=(10, 10)) * np.abs(PHI).clip(1e-3)[:, None]
     (found,) = payloads(carrying, factor)
     assert (found.sensor, found.link) == ("tool0", "tool0")
-    rows = {name: numbers(text) for name, text, _ in found.rows}
+    # Products of inertia that are zero share a power of ten with their deviations.
+    rows = {name: numbers(text) for name, text, _ in found.rows if "e" not in text}
     assert rows["mass"] == pytest.approx([1.7, np.linalg.norm(factor[10])], rel=0.05)
     std = 1e3 * np.sqrt(np.diag(com_covariance(PHI, factor[10:] @ factor[10:].T)))
     for axis, expected in zip("xyz", std, strict=True):
@@ -84,7 +85,8 @@ def test_moving_fingers_belong_to_the_payload(tmp_path):
     )
     (found,) = payloads(shown, 0.01 * value[:, None], parameters, posture)
     assert found.note == "It includes finger at the mean position in the log."
-    rows = {name: numbers(text) for name, text, _ in found.rows}
+    # Products of inertia that are zero share a power of ten with their deviations.
+    rows = {name: numbers(text) for name, text, _ in found.rows if "e" not in text}
     assert rows["mass"] == pytest.approx([1.25, 0.0125], rel=0.05)
     com = [rows[f"centre of mass {axis}"] for axis in "xyz"]
     expected = (0.25 * np.array([80, 20, 150]) + np.array([0, 0, 100])) / 1.25

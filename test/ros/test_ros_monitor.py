@@ -197,6 +197,14 @@ class TestPage:
         ]
         assert rendered(view(estimate(link("leg", LEG, STD))), 80)[-1] == "no warning"
 
+    def test_a_change_that_the_estimate_has_followed_is_still_shown(self) -> None:
+        text = "leg has changed since 2.0 s: +3.00 ± 0.01 kg; the estimate is of later data"
+        leg = estimate(link("leg", LEG, STD))
+        followed = read_status({"change": status("", message=text, since="2.0")})
+        assert rendered(view(leg, status=followed), 120)[-2:] == [text, "no warning"]
+        quiet = read_status({"change": status("", message="no change", evidence="0.1")})
+        assert not quiet.followed
+
     def test_before_any_verdict_there_is_no_warning_yet(self) -> None:
         early = read_status({"estimate": status("", message=TOO_EARLY_TO_FIT)})
         lines = rendered(view(estimate(link("leg", LEG, STD)), status=early), 120)

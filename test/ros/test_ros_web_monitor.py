@@ -26,6 +26,7 @@ from symbid_ros.ros.web_monitor import PARAMETERS, WebMonitor
 MODEL = config_file("symbitron.xml")
 DEADLINE = 200_000  # ms; only a hang takes longer
 ALARM = "L_thigh has changed since 15.0 s: +3.00 ± 0.10 kg"
+FOLLOWED = "L_thigh has changed; the estimate is of later data"
 
 
 class Identifier:
@@ -52,7 +53,7 @@ class Identifier:
 
         return answer
 
-    def publish(self, seconds: int, thigh: float) -> None:
+    def publish(self, seconds: int, thigh: float, change: str = ALARM) -> None:
         """Publish an estimate with another mass of a thigh, and what else a page shows."""
         value = self.estimate.value.copy()
         value[self.estimate.names.index("L_thigh/m")] = thigh
@@ -60,7 +61,11 @@ class Identifier:
         statuses = {
             "estimate": (DiagnosticStatus.OK, {"age": "0.5", "samples": "433"}, "published"),
             "streams": (DiagnosticStatus.OK, {"/joint_states/rate": "1000.0"}, "in order"),
-            "change": (DiagnosticStatus.WARN, {"link": "L_thigh"}, ALARM),
+            "change": (
+                DiagnosticStatus.WARN if change == ALARM else DiagnosticStatus.OK,
+                {"link": "L_thigh", "since": "1.0"},
+                change,
+            ),
         }
         message = DiagnosticArray()
         for part, (level, values, text) in statuses.items():
@@ -123,6 +128,10 @@ def test_the_page_follows_the_identifier(browser, live) -> None:
         tab.locator("#streams").get_by_text("/joint_states 1000 Hz").wait_for()
         tab.locator("#state").get_by_text("433 rows").wait_for()
         tab.wait_for_selector(".mass.changed[data-link=L_thigh]")
+        assert not tab.locator("#followed").is_visible()
+        identifier.publish(5, 5.4, change=FOLLOWED)
+        tab.locator("#followed").get_by_text(FOLLOWED).wait_for()
+        assert not tab.locator("#alarms").is_visible()
         # The 3D view shows the same estimate.
         tab.locator(".robot-view select").select_option(label="L_thigh")
         tab.locator(".robot-numbers").get_by_text("5.40 ±").wait_for()

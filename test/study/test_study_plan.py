@@ -147,4 +147,5 @@ def test_validation_logs_have_the_friction_of_the_data():
 def test_a_log_is_described_with_the_name_of_each_seed():
     log = SimulatedLog(moves=2, motion_seed=11, noise_seed=12, noise=0.1)
     assert log.description == "smooth, 2 moves, motion seed 11, noise x 0.1, noise seed 12"
+    assert SimulatedLog(moves=1).description.startswith("smooth, 1 move, motion seed 1")
     assert SimulatedLog(noise=0.0).description == "smooth, 20 moves, motion seed 1, no noise"

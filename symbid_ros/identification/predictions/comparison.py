@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import EstimateError
-from symbid_ros.identification.predictions.error_changes import percent
+from symbid_ros.identification.predictions.error_changes import enumerate_words, percent
 from symbid_ros.identification.predictions.force_errors import ForceRows, compare_errors
 from symbid_ros.identification.predictions.validation import assess, predictor_of
 from symbid_ros.identification.predictions.validation_result import Validation
@@ -144,7 +144,7 @@ def _ranking_verdict(
 def _objection(found: Validation) -> str:
     """Return why not to use a result of small errors."""
     reasons = {
-        "mixed": f"{' and '.join(found.worse)} got worse than with the original model",
+        "mixed": f"{enumerate_words(found.worse)} got worse than with the original model",
         "unfit": "its error is larger than the measured forces",
         "better": "it is not fit for this robot or load",
     }
@@ -160,8 +160,8 @@ def _remark_on_use(ranking: Sequence[Validation]) -> str:
     if not used:
         return ""
     return (
-        f"; {' and '.join(used)} of this log's {ranking[0].seconds:.0f} s for the identification; "
-        "repeat this with another log"
+        f"; {enumerate_words(used)} of this log's {ranking[0].seconds:.0f} s for the "
+        "identification; repeat this with another log"
     )
 
 

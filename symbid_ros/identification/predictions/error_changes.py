@@ -1,6 +1,6 @@
 """Sentences and figures about the errors of two models."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from symbid_ros.identification.predictions.force_errors import (
     SENSOR_PARTS,
@@ -30,7 +30,7 @@ def describe_change(error: ForceError) -> str:
 
 
 def describe_files(percents: Mapping[str, float], after: float | None) -> str:
-    """Return the errors of model files that predict worse than the identified model, if any."""
+    """Return the errors of all model files if one predicts worse than the identified model."""
     if after is None:
         return ""
     lacking = [
@@ -41,9 +41,20 @@ def describe_files(percents: Mapping[str, float], after: float | None) -> str:
     if not lacking:
         return ""
     others = [name for name in percents if name not in lacking]
-    errors = ", ".join(f"error of {name} alone {percent(percents[name])}" for name in lacking)
-    text = f"{errors}: {'it' if len(lacking) == 1 else 'they'} cannot contain all joint terms"
-    return f"{text}; {' and '.join(others)} can" if others else text
+
+    def errors(names: Sequence[str]) -> str:
+        return ", ".join(f"error of {name} alone {percent(percents[name])}" for name in names)
+
+    which = "it" if len(lacking) == 1 else "they"
+    text = f"{errors(lacking)}: {which} cannot contain all joint terms"
+    # A file without a larger error may lack terms too, which a trial did not identify.
+    return f"{text}; {errors(others)}" if others else text
+
+
+def enumerate_words(words: Iterable[str]) -> str:
+    """Return words as "A, B and C"."""
+    items = list(words)
+    return f"{', '.join(items[:-1])} and {items[-1]}" if len(items) > 1 else "".join(items)
 
 
 def percent_change(before: float, after: float) -> str:

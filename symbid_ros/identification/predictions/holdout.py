@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.predictions.error_changes import enumerate_words
 from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.identification.predictions.validation import validate_segments
 from symbid_ros.identification.report_data import ForceSeries
@@ -73,7 +74,7 @@ def hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOut
     if found.advice == "worse":
         summary += ", worse than the original model"
     elif found.advice == "mixed":
-        summary += f"; {' and '.join(found.worse)} got worse"
+        summary += f"; {enumerate_words(found.worse)} got worse"
     elif found.advice == "unfit":
         summary += ", an error larger than the measured forces"
     if repeats >= REPEATED:

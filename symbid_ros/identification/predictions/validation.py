@@ -17,6 +17,7 @@ from symbid_ros.identification.predictions.error_changes import (
     BASE_MOMENT,
     SLOW_STRETCHES,
     WRIST_SENSORS,
+    enumerate_words,
 )
 from symbid_ros.identification.predictions.force_errors import (
     SENSOR_PARTS,
@@ -228,19 +229,19 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
     start = {
         "better": "use it"
         if found.main.name in better
-        else f"use it, {' and '.join(better)} got better",
+        else f"use it, {enumerate_words(better)} got better",
         "equal": "too few data to tell whether it is better, repeat this with a longer log"
         if differ_relevantly(found.percent_before, found.percent_after)
         else "hardly differs from the original",
         "worse": "do not use it, it is worse than the original",
-        "mixed": f"do not use it yet, {' and '.join(found.worse)} got worse",
+        "mixed": f"do not use it yet, {enumerate_words(found.worse)} got worse",
         "unfit": "do not use it, its error is larger than the measured forces (give the robot "
         "file, units and signs of the identification)",
     }[found.advice]
     if found.is_better and found.is_of_other_robot:
         start = "better than the original, but not fit for this robot or load"
     elif found.is_better:
-        limits = [f"for {' and '.join(found.unpredicted)}"] * bool(found.unpredicted)
+        limits = [f"for {enumerate_words(found.unpredicted)}"] * bool(found.unpredicted)
         limits += [f"its offset of {one.frame}" for one in found.offsets]
         limits += ["its standard deviations"] * (not found.is_covered)
         start = ", but not ".join([start, " and not ".join(limits)]) if limits else start
@@ -280,7 +281,7 @@ def _reservations(found: Validation, *, has_sensors: bool, is_doubted: bool) -> 
     if found.not_judged:
         are = "is" if len(found.not_judged) == 1 else "are"
         remarks.append(
-            f"{' and '.join(found.not_judged)} {are} not judged, because in this log "
+            f"{enumerate_words(found.not_judged)} {are} not judged, because in this log "
             f"{'it hardly moves' if are == 'is' else 'they hardly move'} or the effort is unknown"
         )
     return "".join(f"; {remark}" for remark in remarks)
