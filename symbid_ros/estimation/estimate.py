@@ -29,6 +29,14 @@ LARGEST_ERROR = 15.0
 LARGEST_SCALE = 10.0
 
 
+def mass_text(mass: float, std: float | None) -> str:
+    """Return a mass in kg with its deviation, to the gram or to two digits of the deviation."""
+    if not std:
+        return f"{mass:.3f}"
+    decimals = max(3, 1 - int(np.floor(np.log10(std))))
+    return f"{mass:.{decimals}f} ± {std:.{decimals}f}"
+
+
 @dataclass(frozen=True)
 class RowSettings:
     """How the rows of an identification were made; options that do not apply are None.
@@ -336,7 +344,7 @@ class Estimate:
             frame, _, link = sensor.removeprefix("-").partition(":")
             first = place[f"{link}/m"]
             mass, com, inertia = com_from_phi(self.value[first : first + 10])
-            std = "" if self.std is None else f" ± {self.std[first]:.3f}"
+            text = mass_text(mass, None if self.std is None else float(self.std[first]))
             largest = float(np.abs(inertia).max())
             decimals = 6 if largest == 0 else max(0, 4 - int(np.floor(np.log10(largest))))
             products = ", ".join(f"{one:.{decimals}f}" for one in inertia[np.triu_indices(3)])
@@ -347,7 +355,7 @@ class Estimate:
                 for kind in ("force", "moment")
             )
             lines += [
-                f"beyond {frame}: {mass:.3f}{std} kg, centre of mass "
+                f"beyond {frame}: {text} kg, centre of mass "
                 f"({', '.join(f'{1e3 * one:.1f}' for one in com)}) mm from the sensor, axes of "
                 f"{link}",
                 f"  inertia about it xx, xy, xz, yy, yz, zz: {products} kg m²",

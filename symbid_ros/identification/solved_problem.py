@@ -11,7 +11,7 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.alarms import HEAVY_DEVIATIONS, alarms, heavy_link_alarms
 from symbid_ros.estimation.change import discounted_pseudo_measurements
 from symbid_ros.estimation.directions import DETERMINED
-from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.estimate import Estimate, mass_text
 from symbid_ros.estimation.mass_scale import (
     FORCE_SCALE_STD,
     UNCHECKED,
@@ -317,7 +317,7 @@ class SolvedProblem:
                 std = np.hypot(std, change[masses].sum())
             names = ", ".join(parameters.model.link_names[link] for link in moving)
             yield (
-                f"beyond {frame}: {value[masses].sum():.3f} ± {std:.3f} kg together "
+                f"beyond {frame}: {mass_text(float(value[masses].sum()), float(std))} kg together "
                 f"with the moving {names}; the report states their common centre of mass"
             )
 

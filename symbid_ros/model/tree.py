@@ -438,13 +438,19 @@ class RobotModel:
         Raises
         ------
         ModelError
-            When the robot has no such frame, or no ball about its origin.
+            When the robot has no such frame, no ball about its origin, or it is a moving link's.
         """
         below = {}
         for name, _, radius in (one.partition(":") for one in sensors):
             frame = self.frame(name, "force_only")
-            below[name] = float(radius) if radius else frame.radius
-            if frame not in self.frames or not (radius or frame.radius):
+            below[frame.name] = float(radius) if radius else frame.radius
+            if frame.name in self.link_names:
+                raise ModelError(
+                    f"{self.source}: `force_only`: {name} is a moving link; add a frame at the "
+                    "center of its ball to the model, and name that",
+                    "E124",
+                )
+            if not (radius or frame.radius):
                 raise ModelError(
                     f"{self.source}: `force_only`: no ball is about the origin of {name}; give "
                     f"{name}:RADIUS (m), or the frame at the center of the foot's ball",

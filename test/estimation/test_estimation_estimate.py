@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from expected_errors import raises_code
 
-from symbid_ros.estimation.estimate import Estimate, HoldOut, RowSettings
+from symbid_ros.estimation.estimate import Estimate, HoldOut, RowSettings, mass_text
 from symbid_ros.estimation.estimate_file import estimate_document, load_estimate, write_estimate
 from symbid_ros.estimation.provenance import InputFile, Provenance
 from symbid_ros.estimation.unexplained import UnexplainedForce
@@ -214,3 +214,10 @@ def test_a_weighing_that_does_not_check_the_scale_says_how_uncertain_it_is() -> 
     assert "give `total_mass`," not in verdict.describe_mass_scale()
     alarm = "the weighing of 30.00 ± 0.1 kg contradicts the data, which say 41.07 ± 0.2 kg"
     assert replace(verdict, alarms=(alarm,)).describe_mass_scale() == ""
+
+
+def test_masses_are_to_the_gram_or_to_two_digits_of_their_deviation():
+    assert mass_text(1.70004, 0.0163) == "1.700 ± 0.016"
+    assert mass_text(24.0, 1.25) == "24.000 ± 1.250"
+    assert mass_text(0.0123, 4e-5) == "0.012300 ± 0.000040"
+    assert mass_text(1.7, None) == mass_text(1.7, 0.0) == "1.700"

@@ -126,6 +126,8 @@ def test_sensors_are_checked(robot):
         IdentifyOptions(force_only=("LF_foot:ball",))
     with pytest.raises(ModelError, match=r"no ball .* imu_link"):
         with_robot_options(robot, RobotOptions(force_only=("imu_link",)))
+    with pytest.raises(ModelError, match="LF_KFE_link is a moving link"):
+        with_robot_options(robot, RobotOptions(force_only=("LF_KFE_link:0.02",)))
     with pytest.raises(ModelError, match="no frame or link 'hand'"):
         with_robot_options(robot, RobotOptions(force_only=("hand",)))
     named = with_robot_options(robot, RobotOptions(force_only=("LF_foot,imu_link:0.01",)))
