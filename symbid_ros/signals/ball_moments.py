@@ -5,6 +5,7 @@ often are. A force f there has the moment r × f about the center, with r from t
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import at_base, smoothed
+from symbid_ros.signals.weak_form import block_length
 
 
 def frames_without_moments(segment: Segment, model: RobotModel) -> frozenset[str]:
@@ -37,7 +39,11 @@ def with_moments_of_balls(segment: Segment, model: RobotModel) -> Segment:
     if not places:
         return segment
     samples = at_base(smoothed(segment, LowPass(0), edge=0), model)
-    up, poses = upward(samples), link_poses(model, samples.position)
+    # Blocks begin at the same stamps however a log is read. In longer ones the gyroscope drifts.
+    blocks = np.flatnonzero(np.diff(segment.stamp // block_length(segment.rate))) + 1
+    parts = pairwise([0, *blocks.tolist(), len(samples)])
+    up = np.concatenate([upward(samples[start:stop]) for start, stop in parts])
+    poses = link_poses(model, samples.position)
     wrenches = segment.wrenches.copy()
     for index in places:
         frame = frames[index]

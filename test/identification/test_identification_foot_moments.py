@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from quadruped_log import FEET, inaccurate, quadruped_urdf, standing_log
+from live_feed import feed_of
+from quadruped_log import FEET, inaccurate, quadruped_urdf, record_log, standing_log
 
 import symbid_ros as sy
 from symbid_ros.errors import ModelError, OptionError
@@ -13,15 +14,21 @@ from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.conventions.assumed_contacts import assumed_contacts
 from symbid_ros.identification.conventions.foot_moments import find_foot_moments
+from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.predictions.validation import validate
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.identification.rows.aligned_log import AlignedLog, joined_segments
+from symbid_ros.offline.bags import load_bag
+from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.online.initial_state import InitialState
 from symbid_ros.signals.log import Log
 
 RADIUS = 0.03
 DEPTH = 0.024  # of the points at which soft ground pushes, below the centers of the balls
 BALL = f'<collision><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
+FORCES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+EXACT = {"joint_terms": ("none",), "window": 0.321, "sensor_errors": ("none",)}
 SETTINGS = {"joint_terms": ("none",), "window": 0.161}
 
 
@@ -50,7 +57,7 @@ def readings(true_robot):
 
 def log_of(robot, readings, *, moments=0.0, feet=FEET):
     joints, imu = readings["/joint_states"], readings["/imu"]
-    factors = np.repeat([1.0, moments], 3)
+    factors = FORCES + moments * (1.0 - FORCES)
     return Log.from_arrays(
         robot,
         time=joints["time"],
@@ -99,6 +106,25 @@ def test_a_log_shows_where_forces_without_moments_act(
     again = validate(tmp_path, log)
     assert again.torque.percent_after < 0.5 * again.torque.percent_before
     assert 0.7 < again.torque.normalized_square < 1.4
+
+
+def test_live_messages_give_the_same(robot, readings, tmp_path):
+    forces = {topic: dict(columns) for topic, columns in readings[DEPTH].items()}
+    for foot in FEET:
+        forces[f"/{foot}/wrench"]["wrench"] = forces[f"/{foot}/wrench"]["wrench"] * FORCES
+    bag = record_log(forces, robot, tmp_path / "bag")
+    named = ",".join(f"{foot}:{DEPTH}" for foot in FEET)
+    options = IdentifyOptions(force_only=(named,), no_holdout=True, **EXACT)
+    offline = load_problem(robot, load_bag(bag, robot), options).solve().estimate
+    feed = feed_of(bag)
+    live = OnlineIdentification(InitialState.of(robot, options), feed.selected, Pace(share=1.0))
+    try:
+        feed.into(live, solving=6.0)
+        found = live.solve(exactly=True).found.estimate
+    finally:
+        live.close()
+    assert found.force_only == offline.force_only
+    np.testing.assert_allclose(found.value, offline.value, atol=1e-3 * offline.std.max())
 
 
 def test_moments_that_are_right_stay(robot, readings):
