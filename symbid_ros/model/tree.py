@@ -447,13 +447,13 @@ class RobotModel:
             if frame.name in self.link_names:
                 raise ModelError(
                     f"{self.source}: `force_only`: {name} is a moving link; add a frame at the "
-                    "center of its ball to the model, and name that",
+                    "centre of its ball to the model, and name that",
                     "E124",
                 )
             if not (radius or frame.radius):
                 raise ModelError(
                     f"{self.source}: `force_only`: no ball is about the origin of {name}; give "
-                    f"{name}:RADIUS (m), or the frame at the center of the foot's ball",
+                    f"{name}:RADIUS (m), or the frame at the centre of the foot's ball",
                     "E124",
                 )
         frames = (replace(one, below=below.get(one.name, one.below)) for one in self.frames)

@@ -1,7 +1,7 @@
 """Moments that foot sensors of forces alone leave out, where the model tells what they are.
 
-The ground touches a ball at its lowest point, not at its center, about which the frames of feet
-often are. A force f there has the moment r × f about the center, with r from the center downwards.
+The ground touches a ball at its lowest point, not at its centre, about which the frames of feet
+often are. A force f there has the moment r × f about the centre, with r from the centre downwards.
 """
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ from symbid_ros.signals.weak_form import block_length
 
 
 def frames_without_moments(segment: Segment, model: RobotModel) -> frozenset[str]:
-    """Return the frames at centers of balls whose sensors read forces and no moments at all."""
+    """Return the frames at centres of balls whose sensors read forces and no moments at all."""
     return frozenset(
         name
         for index, name in enumerate(segment.wrench_frames)

@@ -25,7 +25,7 @@ from symbid_ros.online.initial_state import InitialState
 from symbid_ros.signals.log import Log
 
 RADIUS = 0.03
-DEPTH = 0.024  # of the points at which soft ground pushes, below the centers of the balls
+DEPTH = 0.024  # of the points at which soft ground pushes, below the centres of the balls
 BALL = f'<collision><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
 FORCES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 EXACT = {"joint_terms": ("none",), "window": 0.321, "sensor_errors": ("none",)}

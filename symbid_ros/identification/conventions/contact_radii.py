@@ -1,6 +1,6 @@
-"""How far below the center of a foot's ball the ground pushes, if nothing measures the force.
+"""How far below the centre of a foot's ball the ground pushes, if nothing measures the force.
 
-Soft ground and soft soles bring the ground nearer to the center than the radius of the model file.
+Soft ground and soft soles bring the ground nearer to the centre than the radius of the model file.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,7 +15,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
 
 # Another radius has to be likelier by this many nats. Quadrupeds that trot in MuJoCo, whose feet
-# sink in by 5 mm, give 100 to 850 nats within 20 s.
+# sink in by 5 mm, give 100 to 850 nats within 32 s.
 EVIDENCE = 50.0
 # Where no radius explains the forces (RMS) as well as this, something else is wrong, such as units.
 MOST_LEFT = 0.1

@@ -1,6 +1,6 @@
 """How far below its frame the force on a foot acts whose sensor reads no moments.
 
-Contact sensors of simulators often report forces alone. If the frame is at the center of a ball,
+Contact sensors of simulators often report forces alone. If the frame is at the centre of a ball,
 the force acts at the ball's lowest point, and friction of the ground has a moment about the frame.
 """
 
@@ -20,7 +20,7 @@ from symbid_ros.signals.segments import Segment
 logger = logging.getLogger(__name__)
 
 # The forces have to be likelier below their frames by this many nats, and by this many for each
-# row. Quadrupeds that trot in MuJoCo give 2400 to 5600 nats within 20 s, 0.7 to 1.6 for each row.
+# row. Quadrupeds that trot in MuJoCo give 2400 to 5600 nats within 40 s, 0.7 to 1.6 for each row.
 EVIDENCE, LEAST_GAIN = 50.0, 0.1
 # Where the forces are not explained as well as this (RMS), something else is wrong, such as units.
 MOST_LEFT = 0.1
@@ -34,7 +34,7 @@ class FootMoments:
     Attributes
     ----------
     frames : tuple of str
-        Of the sensors, at the centers of balls.
+        Of the sensors, at the centres of balls.
     radii : tuple of float
         How far below each frame its force acts, m.
     before, after : float
