@@ -43,7 +43,8 @@ NEVER = {
     "simulation": {"estimation", "diagnosis", "identification", "offline", "online"},
     "cli": {"ros"},  # the command starts nodes as processes
 }
-# Parts of subpackages, and which parts of their own they may import; what lies beside is common.
+# Parts of a subpackage, and those of its other parts that each may import. Modules beside the parts
+# may be imported by all of them.
 PARTS: dict[str, dict[str, set[str]]] = {
     "bags": {
         "container": set(),
