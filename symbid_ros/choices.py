@@ -8,7 +8,15 @@ Filter = Literal["weak", "butterworth", "savitzky_golay"]
 Channels = Literal["all", "thesis"]
 Criterion = Literal["gen_force", "torque", "com"]
 Term = Literal[
-    "viscous", "coulomb", "armature", "offset", "stribeck", "load", "presliding", "stiffness"
+    "viscous",
+    "coulomb",
+    "armature",
+    "offset",
+    "stribeck",
+    "load",
+    "presliding",
+    "stiffness",
+    "lead",
 ]
 Scenario = Literal[
     "smooth", "wide", "squat", "vibrating", "one_leg", "stepping", "suspended", "tare"
@@ -80,9 +88,12 @@ JOINT_TERMS: dict[Term, JointTerm] = {
     "load": JointTerm(("Nm/Nm", "N/N"), None, 0.1, 0, 0.1, True),
     "presliding": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, True),
     "stiffness": JointTerm(("Nm/rad", "N/m"), "stiffness", 1.0, 2, 0.3, True),
+    "lead": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, True),
 }
 # Candidates only on robots whose model file states one, because few have it; the data are searched
 # for it otherwise.
 SPRING: Term = "stiffness"
+# A candidate only if the friction of all joints together leads, as that of simulated joints does.
+LEAD: Term = "lead"
 # Terms that act only while a joint slips. A sticking joint has static friction in their place.
-SLIDING_TERMS: frozenset[Term] = frozenset({"coulomb", "stribeck", "load", "presliding"})
+SLIDING_TERMS: frozenset[Term] = frozenset({"coulomb", "stribeck", "load", "presliding", "lead"})

@@ -44,6 +44,9 @@ STRIBECK_SPEED = 0.2, 0.02
 # Travel after a reversal within which friction builds up to 63 %, in presliding: about the
 # hysteresis of a strain wave gear.
 PRESLIDING_TRAVEL = 2e-3, 2e-4
+# Time, s, by which friction leads: dmax timeconst / 2 of MuJoCo's default solimpfriction and
+# solreffriction.
+LEAD_TIME = 0.0095
 
 
 def is_slipping(velocity: FloatArray, joints: Sequence[Joint]) -> BoolArray:
@@ -132,6 +135,26 @@ def presliding_column(samples: Samples, joints: Sequence[Joint]) -> FloatArray:
         state = np.sign(velocity) * share
     column: FloatArray = state - sliding_column(samples, joints)
     return column
+
+
+def lead_column(samples: Samples, joints: Sequence[Joint]) -> FloatArray:
+    """Return sign(q̇ + t q̈) - sign(q̇) (N, J), by which friction reverses ahead of the joint.
+
+    MuJoCo's friction loss is a soft constraint, which tries to reach q̈ = -q̇/t: a joint that brakes
+    harder is driven by its friction (MuJoCo documentation, Computation, Constraint model).
+    """
+    ahead = samples.leading
+    if ahead is None:
+        ahead = leading_column(samples.velocity, samples.acceleration, joints)
+    column: FloatArray = ahead - sliding_column(samples, joints)
+    return column
+
+
+def leading_column(
+    velocity: FloatArray, acceleration: FloatArray, joints: Sequence[Joint]
+) -> FloatArray:
+    """Return sign(q̇ + t q̈) (N, J), with the ramp of :func:`coulomb_column`."""
+    return coulomb_column(velocity + LEAD_TIME * acceleration, joints)
 
 
 def by_kind(values: tuple[float, float], joints: Sequence[Joint]) -> FloatArray:
@@ -389,6 +412,7 @@ def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, Float
             sliding_column(samples, parameters.model.joints),
         ),
         "presliding": presliding_column(samples, parameters.model.joints),
+        "lead": lead_column(samples, parameters.model.joints),
         "stiffness": samples.position
         - np.array([joint.spring_reference for joint in parameters.model.joints]),
     }

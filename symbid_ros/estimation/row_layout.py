@@ -49,6 +49,8 @@ class RowLayout:
         """
         model = parameters.model
         samples = replace(random_motions(model, 20), stamp=parameters.typical_stamps(20))
+        # A joint reverses in too few random motions for friction that leads to show.
+        samples = replace(samples, leading=np.zeros_like(samples.velocity))
         K = np.zeros((model.dof, len(parameters)))
         # Rows depend on which contacts touch something, if that is known.
         for touching in possible_states(model) or (None,):

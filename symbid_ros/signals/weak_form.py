@@ -26,6 +26,7 @@ from symbid_ros.dynamics.regressor import (
     coulomb_column,
     friction_state,
     has_linear_rows,
+    leading_column,
 )
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
@@ -191,7 +192,7 @@ def with_filtered_friction(
     if len(samples) < 2:
         return samples
     if recorded is not None:
-        low_pass = replace(recorded.decimator, edge=0).force
+        low_pass, rate = replace(recorded.decimator, edge=0).force, recorded.decimator.rate
         position, velocity = recorded.motion()
         position = model.apply_mimics(position)
         velocity = model.apply_mimics(velocity, rates=True)
@@ -199,10 +200,12 @@ def with_filtered_friction(
         rate = 1e9 / float(np.median(np.diff(samples.stamp)))
         low_pass = partial(prefilter(rate)[0].force, rate=rate)
         position, velocity = samples.position, samples.velocity
+    acceleration = np.gradient(velocity, 1 / rate, axis=0)
     return replace(
         samples,
         sliding=low_pass(coulomb_column(velocity, model.joints)),
         friction_state=low_pass(friction_state(position, model.joints)),
+        leading=low_pass(leading_column(velocity, acceleration, model.joints)),
     )
 
 

@@ -19,6 +19,7 @@ from symbid_ros.dynamics.regressor import (
     equation_of_motion,
     friction_state,
     is_slipping,
+    lead_column,
     presliding_column,
 )
 from symbid_ros.estimation.row_layout import RowLayout
@@ -44,13 +45,14 @@ def dahl(position, travel):
     return state
 
 
-def forward(model, samples, rng):
+def forward(model, samples, rng, *, soft=False):
     """Return the samples with MuJoCo's accelerations, and its dry friction (N, J)."""
     compiled = mujoco.MjModel.from_xml_string(mjcf_text(model))
     # MuJoCo's dry friction is a soft constraint: with the default time constant of 20 ms, a joint
     # under a large force creeps. The shortest time constant gives Coulomb friction.
-    compiled.opt.timestep, compiled.dof_solref[:] = 1e-5, (2e-5, 1.0)
-    compiled.dof_solimp[:, :2] = 0.9999
+    if not soft:
+        compiled.opt.timestep, compiled.dof_solref[:] = 1e-5, (2e-5, 1.0)
+        compiled.dof_solimp[:, :2] = 0.9999
     compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
     data = mujoco.MjData(compiled)
     joints, base, friction, motion = len(model.joints), [], [], []
@@ -110,6 +112,17 @@ def test_slipping_joints_obey_mujocos_dry_friction(robot):
     rows = equation_of_motion(parameters, samples)
     error = rows.K @ parameters.values - rows.y
     assert np.abs(error).max() < 1e-9 * np.abs(rows.y).max()
+
+
+def test_the_lead_is_that_of_mujocos_default_friction(robot):
+    rng = np.random.default_rng(5)
+    samples, friction = forward(robot, moving(robot, 60, rng, 0.01), rng, soft=True)
+    share = -friction / [joint.friction_loss for joint in robot.joints]
+    reverses = share * samples.velocity < 0
+    slips = np.abs(share) > 1 - 1e-9
+    assert np.mean(reverses & slips) > 0.02
+    column = coulomb_column(samples.velocity, robot.joints) + lead_column(samples, robot.joints)
+    np.testing.assert_array_equal(np.sign(column[slips]), np.sign(share[slips]))
 
 
 def test_the_columns_recover_mujocos_friction(robot):

@@ -22,15 +22,20 @@ from functools import cached_property
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.choices import SLIDING_TERMS, Term
+from symbid_ros.choices import LEAD, SLIDING_TERMS, Term
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.passive_drives import contradicts_signs
 from symbid_ros.estimation.posterior import Posterior, posterior
-from symbid_ros.estimation.term_evidence import FRICTION, CandidateTerms, cross_validated
+from symbid_ros.estimation.term_evidence import (
+    FRICTION,
+    CandidateTerms,
+    cross_validated,
+    have_common_lead,
+)
 from symbid_ros.estimation.term_sets import TermSets
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.rows.window_comparison import COMPARABLE, WindowComparison
-from symbid_ros.identification.terms.priors import fixed_prior
+from symbid_ros.identification.terms.priors import fixed_prior, released_prior
 from symbid_ros.identification.terms.remarks import (
     FEWEST_SLIPPING,
     inseparable_terms,
@@ -194,7 +199,11 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
     selections = []
     # With friction in the model file, a joint may stick even if no joint of the log slips.
     if _any_slips(problem.observations, parameters) or np.any(stated & slipping):
-        selections.append(_Selection.of(problem, everything, stated, previous, slips=True))
+        usual = everything & ~parameters.of_term(LEAD)
+        selection = _Selection.of(problem, usual, stated, previous, slips=True)
+        if selection.has_leading_friction(problem):
+            selection = _Selection.of(problem, everything, stated, previous, slips=True)
+        selections.append(selection)
     slips = any(bool(np.any(one.free & slipping)) for one in selections)
     if not slips:
         selections.append(
@@ -319,6 +328,27 @@ class _Selection:
     def has_signed_drives(self) -> bool:
         """Return whether the data contradict positive armature and friction."""
         return contradicts_signs(self.found, self.parameters, self.rows)
+
+    def has_leading_friction(self, problem: Problem) -> bool:
+        """Return whether the friction of the joints that have any reverses ahead of them."""
+        coulomb, leads = (
+            np.flatnonzero(self.parameters.of_term(term)) for term in ("coulomb", LEAD)
+        )
+        if not len(leads) or not self.free[coulomb].any():
+            return False
+        rubs = self.free[coulomb]
+        leads = leads[rubs]
+        prior = released_prior(self.found.prior, leads)
+        found = posterior(
+            self.rows,
+            prior,
+            problem.pseudo_measurements,
+            tolerance=COMPARABLE,
+            start=self.found.mean,
+            correlation=self.rows.joint_correlation(self.found.mean),
+            approximate=True,
+        )
+        return have_common_lead(found, leads, coulomb[rubs])
 
     @classmethod
     def of(

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
@@ -30,6 +30,14 @@ def fixed_prior(prior: Prior, free: BoolArray) -> Prior:
     factor = prior.factor * scale[:, None]
     alone = None if prior.alone is None else prior.alone * scale
     return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor, alone=alone)
+
+
+def released_prior(prior: Prior, columns: IntArray) -> Prior:
+    """Return a prior by :func:`fixed_prior` with some parameters as they were before."""
+    scale = np.ones(len(prior.mean))
+    scale[columns] = 1 / FIXED
+    factor = prior.covariance_factor() * scale[:, None]
+    return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor, alone=None)
 
 
 def candidate_prior(

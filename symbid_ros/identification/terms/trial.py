@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray
+from symbid_ros.choices import LEAD
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import SUSPICIOUS_SCALE, SUSPICIOUS_WHITENESS
 from symbid_ros.estimation.group_moments import BY_SECONDS, Grouping
@@ -120,8 +121,9 @@ def try_columns(
         term_deviations=None,
         stored=None,
     )
-    found, chosen = candidate_posterior(everything, np.ones(len(parameters), bool), slips=slips)
     names = choice.parameters.names
     chosen_before = {name for name, free in zip(names, choice.free, strict=True) if free}
     free = np.array([name in chosen_before for name in parameters.names])
+    candidates = free | ~parameters.of_term(LEAD)
+    found, chosen = candidate_posterior(everything, candidates, slips=slips)
     return Trial(found, chosen, free)
