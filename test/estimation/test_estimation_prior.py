@@ -231,6 +231,7 @@ def test_missing_joint_terms_are_zero_with_the_terms_deviation(driven):
             "stribeck": 10,
             "load": 1,
             "presliding": 10,
+            "lead": 10,
             "stiffness": 100,
         }
         for term, std in terms_of(parameters, prior.std).items():

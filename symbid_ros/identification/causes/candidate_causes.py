@@ -13,7 +13,13 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS, UNSEEN_WITH_CONTACTS
 from symbid_ros.dynamics.kinematics import link_poses, rotate
-from symbid_ros.dynamics.regressor import Rows, coulomb_column, friction_state, stribeck_column
+from symbid_ros.dynamics.regressor import (
+    Rows,
+    coulomb_column,
+    friction_state,
+    leading_column,
+    stribeck_column,
+)
 from symbid_ros.dynamics.upright import upward
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
@@ -293,6 +299,7 @@ class CandidateBuilder:
             "load": slips * np.abs(effort),
             "presliding": friction_state(readings.position, joints) - slips,
             "stiffness": readings.position,
+            "lead": leading_column(velocity, readings.acceleration, joints) - slips,
             "warming": velocity * self._elapsed(readings.stamp)[:, None],
             "delay": rate,
             "torque_gain": effort,

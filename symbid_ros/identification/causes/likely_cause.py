@@ -55,6 +55,7 @@ EFFECTS = {
     "load": "friction in proportion to the load",
     "presliding": "friction that lags behind a reversal",
     "stiffness": "springs at joints",
+    "lead": "friction that leads before a reversal",
     "delay": "a delay",
     "effort_delay": "delays of single efforts",
     "torque_gain": "gains of the efforts",
