@@ -281,7 +281,8 @@ class JointCheck:
                     self.topic,
                     Kind.MISSING_JOINT,
                     f"the effort of {self._list_names(places)} is {what}, {rows} of the equation "
-                    f"of motion cannot be used; {self._remedy('effort')}",
+                    f"of motion cannot be used; {self._remedy('effort')}, or, of a joint without a "
+                    'drive, write effort="0" and a velocity in the `<limit>` of the model',
                     {"joints": len(places)},
                     Severity.UNUSABLE if is_fatal else Severity.WARNING,
                 )

@@ -22,21 +22,24 @@ NEGLIGIBLE = 0.1
 # efforts leave. It is .5 to .7 for payloads of 1 to 2 kg on simulated arms, and .98 or more for
 # wrong factors.
 BETTER = 0.8
+# Up to this ratio, a body explains the efforts as well as factors do.
+AS_WELL = 1.1
 
 
-def missing_body_finding(
-    topic: str,
+def with_missing_body(
+    findings: Sequence[Finding],
     joints: Sequence[str],
     problem: GainProblem,
     gains: GainEstimate,
     parameters: ParameterSet,
-) -> Finding | None:
-    """Return the finding that a body at a link explains the efforts; None if none does.
+) -> tuple[Finding, ...]:
+    """Return findings of wrong factors, or that of a body at a link if it explains more.
+
+    If such a body explains the efforts as well as factors do, the last finding says so.
 
     Parameters
     ----------
-    topic : str
-        Of the joint states.
+    findings : sequence of Finding
     joints : sequence of str
         Joints whose efforts seem to have wrong factors. The body is beyond all of them.
     problem : GainProblem
@@ -53,21 +56,23 @@ def missing_body_finding(
         if wrong and model.ancestors[wrong, link].all():
             mass, left = _with_body(problem, place)
             ratio = np.exp(0.5 * np.mean(np.log((left + small) / (gains.left + small))))
-            if mass > 0 and ratio < BETTER:
+            if mass > 0 and ratio < AS_WELL:
                 found[model.link_names[link]] = float(ratio), mass
     if not found:
-        return None
+        return tuple(findings)
     link = min(found, key=lambda name: found[name][0])
-    mass = found[link][1]
-    return Finding(
-        Kind.MISSING_BODY,
-        topic,
-        Severity.WARNING,
-        f"{topic}: a body of about {mass:.2g} kg at {link} that the model lacks explains the "
-        f"efforts, of which those of {', '.join(joints)} seem to have wrong factors without it; "
-        "add the tool or payload to the model",
-        {"mass_kg": mass},
+    ratio, mass = found[link]
+    body = f"a body of about {mass:.2g} kg at {link} that the model lacks explains the efforts"
+    if ratio >= BETTER:
+        last = findings[-1]
+        message = f"{last.message}; {body} as well: if there is a tool, add it to the model instead"
+        return (*findings[:-1], replace(last, message=message))
+    topic = findings[0].stream
+    text = (
+        f"{topic}: {body}, of which those of {', '.join(joints)} seem to have wrong factors "
+        "without it; add the tool or payload to the model"
     )
+    return (Finding(Kind.MISSING_BODY, topic, Severity.WARNING, text, {"mass_kg": mass}),)
 
 
 def _with_body(problem: GainProblem, place: int) -> tuple[float, FloatArray]:

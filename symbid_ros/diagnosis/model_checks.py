@@ -35,7 +35,7 @@ from symbid_ros.diagnosis.joint_efforts import (
     late_efforts,
 )
 from symbid_ros.diagnosis.like_limbs import limbs_without_sensor
-from symbid_ros.diagnosis.missing_body import missing_body_finding
+from symbid_ros.diagnosis.missing_body import with_missing_body
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stance_gyro_check import (
     DEVIATIONS,
@@ -215,11 +215,8 @@ def _with_missing_body(
         return verdict
     driven = gains.sensors.joint_names
     joints = [name for name in driven for one in verdict.findings if f"{name}/reads" in one.figures]
-    topic = verdict.findings[0].stream
-    found = missing_body_finding(topic, joints, problem, gains, statistics.parameters)
-    if found is None:
-        return verdict
-    return replace(verdict, findings=(found,), blamed=Kind.MISSING_BODY.value)
+    found = with_missing_body(verdict.findings, joints, problem, gains, statistics.parameters)
+    return replace(verdict, findings=found, blamed=found[-1].kind.value)
 
 
 def _offset_findings(statistics: ModelStatistics, wrenches: Mapping[str, str]) -> list[Finding]:

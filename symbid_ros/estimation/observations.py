@@ -22,6 +22,9 @@ SAMPLES_PER_COORDINATE = 3
 # largest one. Simulation and interpolation have errors of this size. Without it, a log without
 # noise would give them large weights, which bias the estimate.
 LEAST_OWN, LEAST_OF_ALL = 1e-10, 1e-14
+# The same of a coordinate without a measured force, as a share of the mean square load that is
+# expected there: it is known to one percent at best.
+LEAST_UNFORCED = 1e-4
 # Multiples of the diagonal that make a moment positive definite despite rounding, tried in turn.
 REGULARIZATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8)
 # Factor on the variance of a coordinate that gets no weight.
@@ -242,8 +245,12 @@ class Observations:
             ratios[joints] = self.correlation(phi)[joints]
         return ratios
 
-    def residual_covariance(self, phi: FloatArray) -> FloatArray:
+    def residual_covariance(self, phi: FloatArray, expected: FloatArray) -> FloatArray:
         """Return the covariance Σ (n, n) of a row's residual at φ (p,), corrected for overlap.
+
+        Rows without a measured force, as those of a joint without a drive, leave no residual if all
+        inertias vanish. It counts as a share of the load of the ``expected`` parameters (p,) at
+        least.
 
         Coordinates with invalid samples are treated as independent of the others, because the
         missing residuals are unknown. In a short log all coordinates are treated as independent.
@@ -261,6 +268,10 @@ class Observations:
         # A coordinate without residual must keep a finite weight. A coordinate with too few rows
         # fits them exactly, so it gets no weight.
         floor = self._least_residual
+        unforced = self.rows.target_squares == 0.0
+        if unforced.any():
+            load = self.rows.residual_moment(expected) / np.maximum(self.counts, 1)
+            floor = np.maximum(floor, LEAST_UNFORCED * unforced * load.diagonal())
         floor[self.scarce] = NO_WEIGHT * floor.max()
         moment[np.diag_indices(len(moment))] = np.maximum(moment.diagonal(), floor) + floor
         coupled = int(np.sum(self._coupled.sum(axis=0) > 1))

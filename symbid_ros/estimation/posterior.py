@@ -224,7 +224,7 @@ class _Square:
         approximate: bool,
         correlation: FloatArray | None = None,
     ) -> "_Square":
-        covariance = observations.residual_covariance(phi)
+        covariance = observations.residual_covariance(phi, mean)
         if correlation is not None:
             root = np.sqrt(correlation)
             covariance = covariance * np.outer(root, root)

@@ -47,6 +47,8 @@ from symbid_ros.signals.sensor_samples import probed
 
 # A gain is corrected if it is known to this share.
 KNOWN = 0.25
+# Factors beyond these are no errors of a model if two joints or more have them.
+FAR = 0.1, 10.0
 ANGLES = "roll", "pitch", "yaw"
 ROUNDS = 3  # of corrections, since one wrong sign can hide another
 CORRECTABLE = {
@@ -315,7 +317,8 @@ class LogCorrections:
             if all(EXPLAINED[0] < one < EXPLAINED[1] for one in scaled.values()):
                 self._doubt_load(scaled)
                 return
-            if len(unknown) > len(scaled):
+            is_far = all(not FAR[0] < abs(one) < FAR[1] for one in scaled.values())
+            if len(unknown) > len(scaled) and not (is_far and len(scaled) > 1):
                 return  # so few joints do not tell units from errors of the model
             usual = median(map(abs, scaled.values()))
             for joint in self.robot.joints:

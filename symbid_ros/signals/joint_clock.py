@@ -15,8 +15,9 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
 from symbid_ros.signals.defects import JITTER, typical_period
 from symbid_ros.signals.streams import JointStream
 
-# Copies in a row; more of them are a frozen topic.
-MOST_COPIES = 3
+# Copies in a row; more of them are a frozen topic. If most messages are copies, the publisher is
+# that many times faster than the samples, and each is repeated about as often.
+MOST_COPIES, MOST_TIMES = 3, 2.0
 # Share of the joints that move before and after a copy. The readings of a robot at rest repeat.
 MOVING_SHARE = 0.5
 # Uniform times are taken if they divide the roughness of the positions by at least this factor ...
@@ -79,10 +80,10 @@ def sampled_joints(joints: JointStream) -> JointClock:
     """
     copies = find_copies(joints)
     stamp = joints.stamp
-    period = typical_period(stamp)
+    fresh = map_arrays(joints, lambda values: values[~copies]) if copies.any() else joints
+    period = typical_period(fresh.stamp)
     if period <= 0:
         return JointClock(joints, copies, 0.0)
-    fresh = map_arrays(joints, lambda values: values[~copies]) if copies.any() else joints
     steps = np.diff(stamp)
     if not copies.any() and np.abs(steps - period).max() < LEAST_JITTER * period:
         return JointClock(fresh, copies, 0.0)
@@ -118,12 +119,18 @@ def find_copies(joints: JointStream) -> BoolArray:
         now, before = values[candidates], values[candidates - 1]
         same = (now == before) | (np.isnan(now) & np.isnan(before))
         candidates = candidates[same.all(axis=1)]
-    for run in np.split(candidates, np.flatnonzero(np.diff(candidates) > 1) + 1):
-        if not 0 < len(run) <= MOST_COPIES or run[0] < 2 or run[-1] + 1 >= count:
+    runs = np.split(candidates, np.flatnonzero(np.diff(candidates) > 1) + 1)
+    most = float(MOST_COPIES)
+    if are_usual := 2 * len(candidates) > count and len(runs) >= FEWEST_MESSAGES:
+        most = max(most, MOST_TIMES * float(np.median([len(run) for run in runs])))
+    # Beyond both ends the joints count as moving.
+    moves = np.concatenate([position[1:] != position[:-1], np.full((1, position.shape[1]), True)])
+    for run in runs:
+        is_inside = len(run) > 0 and run[0] >= 2 and run[-1] + 1 < count
+        if not 0 < len(run) <= most or not (is_inside or are_usual):
             continue
-        before = position[run[0] - 1] != position[run[0] - 2]
-        after = position[run[-1] + 1] != position[run[-1]]
-        if np.mean(before & after) >= MOVING_SHARE:
+        before = moves[run[0] - 2]  # of the second message, the last row
+        if np.mean(before & moves[run[-1]]) >= MOVING_SHARE:
             copies[run] = True
     return copies
 

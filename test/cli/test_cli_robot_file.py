@@ -232,6 +232,16 @@ def test_one_joint_does_not_tell_the_unit_of_all_others(tmp_path) -> None:
     assert not {"effort_scale", "drive_gain"} & set(setup.options)
 
 
+def test_two_joints_in_far_units_tell_those_of_all_others(tmp_path) -> None:
+    """Shares of a rated torque, of which no model's error is a hundredth."""
+    arm = load_model(ur5_urdf(), "fixed")
+    resting = [name for name in arm.joint_names if name not in arm.joint_names[1:3]]
+    setup = setup_with_efforts(tmp_path, arm, 150.0, friction=0.02, resting=resting)
+    found = [float(one) for one in entries(setup.options["effort_scale"]).values()]
+    assert found == pytest.approx([1 / 150.0] * 6, rel=0.3)
+    assert set(setup.options["drive_gain"]) == set(arm.joint_names)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_wrist_whose_friction_would_drive_it_has_the_wrong_sign(tmp_path, sign) -> None:
     arm = load_model(ur5_urdf(), "fixed")

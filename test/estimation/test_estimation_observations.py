@@ -37,15 +37,25 @@ def test_the_noise_covariance_is_found_despite_masked_rows():
     deviation = rng.uniform(0.1, 5.0, log.K.shape[1])
     for one in (log, masked(log, 1)):
         drawn = one.measured(rng, np.diag(deviation))
-        found = drawn.observations().residual_covariance(log.truth)
+        found = drawn.observations().residual_covariance(log.truth, log.truth)
         np.testing.assert_allclose(np.sqrt(np.diag(found)), deviation, rtol=0.06)
         correlation = found / np.outer(deviation, deviation) - np.eye(len(found))
         assert np.abs(correlation).max() < 0.13
 
 
+def test_vanishing_inertias_do_not_explain_rows_without_a_force():
+    """The row of a joint without a drive fits them exactly; its load is known to 1 % at best."""
+    log = gaussian_log(3, count=400)
+    free = replace(log, y=log.y * np.append(np.ones(log.K.shape[1] - 1), 0.0)).observations()
+    load = np.mean((log.K[:, -1] @ log.truth) ** 2)
+    found = [free.residual_covariance(share * log.truth, log.truth)[-1, -1] for share in (1, 0)]
+    assert found[0] == pytest.approx(load, rel=0.1)
+    assert 1e-4 * load < found[1] < 3e-4 * load
+
+
 def test_partly_masked_coordinates_are_independent():
     log = masked(gaussian_log(2, count=200), 2)
-    found = log.observations().residual_covariance(log.truth)
+    found = log.observations().residual_covariance(log.truth, log.truth)
     alone = np.ones(found.shape, dtype=bool)
     alone[:-2, :-2] = False
     alone[np.diag_indices(len(found))] = False
@@ -62,7 +72,7 @@ def test_orthonormal_combinations_have_one_variance():
     layout = replace(one.layout, combined=some)
     found = replace(one, rows=replace(one.rows, layout=layout), groups=None)
     phi = np.zeros(len(layout.parameters))
-    covariance = found.residual_covariance(phi)
+    covariance = found.residual_covariance(phi, phi)
     mean = found.rows.residual_moment(phi).diagonal() / found.counts.diagonal()
     others = np.setdiff1d(np.arange(n), some)
     alike = covariance.diagonal()[list(some)] / mean[list(some)].mean()
@@ -74,7 +84,7 @@ def test_orthonormal_combinations_have_one_variance():
 
 def test_a_short_log_has_no_correlations():
     log = gaussian_log(3, count=8)
-    found = log.observations().residual_covariance(log.truth)
+    found = log.observations().residual_covariance(log.truth, log.truth)
     np.testing.assert_array_equal(found, np.diag(np.diag(found)))
 
 
@@ -82,7 +92,7 @@ def test_a_short_log_has_no_correlations():
 def test_ideal_rows_keep_a_finite_weight(count):
     log = gaussian_log(4, count=count)
     exact = replace(log, y=log.K @ log.truth)
-    found = exact.observations().residual_covariance(log.truth)
+    found = exact.observations().residual_covariance(log.truth, log.truth)
     assert np.all(np.linalg.eigvalsh(found) > 0)
     assert np.all(np.isfinite(np.linalg.inv(np.linalg.cholesky(found))))
     assert np.sqrt(np.diag(found)).max() < 1e-5 * np.abs(exact.y).max()
@@ -96,7 +106,7 @@ def test_the_residual_covariance_is_corrected_for_the_weights_that_it_gives(infl
     rows, n = len(log) / inflation, log.K.shape[1]
     moment = residual.T @ residual / len(log) + 1e-10 * np.diag(np.mean(log.y**2, axis=0))
     expected = inflation * (rows + n) / (rows - n) * moment
-    found = log.observations().residual_covariance(log.truth)
+    found = log.observations().residual_covariance(log.truth, log.truth)
     np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
@@ -105,7 +115,7 @@ def test_correlations_need_three_independent_rows_per_coordinate(inflation):
     n = gaussian_log(5).K.shape[1]
     for count in (int(3 * n * inflation), int(3 * n * inflation) + 1):
         log = replace(gaussian_log(5, count=count), inflation=inflation)
-        found = log.observations().residual_covariance(log.truth)
+        found = log.observations().residual_covariance(log.truth, log.truth)
         is_diagonal = not np.any(found - np.diag(np.diag(found)))
         assert is_diagonal is (count <= 3 * n * inflation)
 
@@ -122,7 +132,9 @@ def test_a_coordinate_needs_five_rows_and_three_per_parameter_of_its_own(inflati
     for count in (int(np.ceil(needed)) - 1, int(np.ceil(needed))):
         valid = log.valid.copy()
         valid[count:, coordinate] = False
-        variance = np.diag(replace(log, valid=valid).observations().residual_covariance(log.truth))
+        variance = np.diag(
+            replace(log, valid=valid).observations().residual_covariance(log.truth, log.truth)
+        )
         assert (variance[coordinate] > 1e3 * variance[:coordinate].max()) is np.bool_(
             count < needed
         )
@@ -148,7 +160,7 @@ def test_whiteness_is_the_largest_ratio_of_variances_over_chance():
 def test_overlap_reduces_the_number_of_rows():
     log = gaussian_log(5, count=6000)
     plain, overlapping = (
-        replace(log, inflation=inflation).observations().residual_covariance(log.truth)
+        replace(log, inflation=inflation).observations().residual_covariance(log.truth, log.truth)
         for inflation in (1.0, 4 / 3)
     )
     np.testing.assert_allclose(overlapping / plain, 4 / 3, rtol=5e-3)
@@ -157,7 +169,7 @@ def test_overlap_reduces_the_number_of_rows():
 def test_noise_is_limited_by_the_residuals():
     log = gaussian_log(6, count=300).with_noisy_regressor(np.random.default_rng(6), 1e-4)
     observations = log.observations()
-    covariance = observations.residual_covariance(log.truth)
+    covariance = observations.residual_covariance(log.truth, log.truth)
     assert observations.plausible_noise(log.truth, covariance) == 1
     louder = replace(log, noise_rows=1e3 * log.noise_rows).observations()
     share = louder.plausible_noise(log.truth, covariance)

@@ -87,11 +87,14 @@ def _likely_ripples(
     prior = posterior.prior
     parameters = problem.parameters
     model = parameters.model
+    first, known = 6 * model.floating, len(prior.mean)
+    forces = solved.chosen.rows.target_squares[first:]
     joints = [
         joint
         for joint in parameters.joints.tolist()
         if model.joints[joint].kind == "revolute"
         and joint not in model.followers
+        and forces[joint] > 0
         and passes[joint] >= LEAST_PASSES
     ]
     if not joints:
@@ -99,7 +102,6 @@ def _likely_ripples(
     choice = problem.choice
     assert choice is not None
     build = _RippleRows(problem.row_builder, parameters)
-    first, known = 6 * model.floating, len(prior.mean)
     # Of each coordinate's rows: known columns, sines and cosines, residuals at the prior's mean.
     moments = np.zeros((model.dof, known + 2 * len(PERIODS) + 1, known + 2 * len(PERIODS) + 1))
     weight = 1 / np.sqrt(posterior.covariance.diagonal())
