@@ -483,7 +483,7 @@ def _with_all_errors(problem: Problem, found: Posterior, chosen: Observations) -
     found = with_correlated_residuals(found, chosen)
     deviations, choice = problem.term_deviations, problem.choice
     if deviations is not None and choice is not None and not choice.slips:
-        # Without Coulomb friction, viscous friction of joints that moved too little takes its place.
+        # Viscous friction of joints that moved too little takes the place of Coulomb friction.
         unjudged = {f"{joint}/viscous" for joint in choice.unjudged}
         columns = [name in unjudged for name in problem.prior.names]
         deviations = np.hstack([deviations, np.diag(found.mean)[:, columns]])
