@@ -42,6 +42,7 @@ class Kind(Enum):
     JITTER = "jitter"
     QUATERNION_NORM = "quaternion_norm"
     ORIENTATION = "orientation"
+    BASE_MOTION = "base_motion"
     UNIT = "unit"
     GRAVITY = "gravity"
     TWO_PUBLISHERS = "two_publishers"

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from symbid_ros.diagnosis.base_motion import BaseMotionCheck
 from symbid_ros.diagnosis.effort_findings import NO_CONVERSIONS, SignConversions
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity
 from symbid_ros.diagnosis.imu_checks import ImuCheck, QuaternionCheck
@@ -54,6 +55,7 @@ class StreamChecks:
     conversions: SignConversions = NO_CONVERSIONS
     _quaternion_checks: dict[str, QuaternionCheck] = field(default_factory=dict)
     _imu_checks: dict[str, ImuCheck] = field(default_factory=dict)
+    _base_checks: dict[str, BaseMotionCheck] = field(default_factory=dict)
     _joint_check: JointCheck | None = None
     _jitter_checks: dict[str, JitterCheck] = field(default_factory=dict)
     _freeze_detector: FreezeDetector = field(default_factory=FreezeDetector)
@@ -79,6 +81,9 @@ class StreamChecks:
             self._quaternion_checks.setdefault(imu.topic, QuaternionCheck(imu.topic)).add(piece)
             if imu.topic not in differentiated:
                 self._imu_checks.setdefault(imu.topic, ImuCheck(imu.topic)).add(imu)
+            if self.model is not None:
+                base = self._base_checks.setdefault(imu.topic, BaseMotionCheck(imu.topic))
+                base.add(imu, self.model, during)
         if self._joint_check is None:
             self._joint_check = JointCheck(
                 streams.joints.topic, streams.joints.names, streams.is_arrays
@@ -119,6 +124,7 @@ class StreamChecks:
             *self._freeze_detector.findings(limited),
             *self._saturation_detector.findings(),
             *(one for each in self._quaternion_checks.values() for one in each.findings()),
+            *(one for each in self._base_checks.values() for one in each.findings()),
             *self.unit_findings(),
             *self.named,
         ]

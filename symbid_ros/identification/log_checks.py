@@ -40,6 +40,7 @@ BIASING = frozenset(
     {
         Kind.ACCELEROMETER_GAIN,
         Kind.GYROSCOPE_GAIN,
+        Kind.BASE_MOTION,
         Kind.STAMP_RATE,
         Kind.JITTER,
         Kind.IMU_MOUNTING,
@@ -210,7 +211,9 @@ def check_dataset(
         found = _with_readings(
             found, dataset, robot, checks.joint_topic, has_known_units=has_known_units
         )
-    _refuse_unusable(source, found)
+    # A moving base contradicts the efforts of a fixed one.
+    moving = [one for one in of_streams if one.kind is Kind.BASE_MOTION]
+    _refuse_unusable(source, found, moving)
     findings = merged(of_streams, found)
     for finding in findings:
         if finding.kind in BIASING:
@@ -277,10 +280,13 @@ def _mounting(finding: Finding) -> Mounting | None:
     return Mounting(rotation, float(np.radians(std)))
 
 
-def _refuse_unusable(source: str, findings: Sequence[Finding]) -> None:
+def _refuse_unusable(
+    source: str, findings: Sequence[Finding], causes: Sequence[Finding] = ()
+) -> None:
     wrong = unusable(findings)
     if not wrong:
         return
+    wrong = [*causes, *wrong]
     others = ", ".join(f"{one.kind.value} of {one.stream or 'all'}" for one in wrong[1:])
     also = f"; also {others}" if others else ""
     raise DataError(

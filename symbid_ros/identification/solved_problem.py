@@ -481,7 +481,13 @@ class SolvedProblem:
 def _with_all_errors(problem: Problem, found: Posterior, chosen: Observations) -> Posterior:
     """Return the posterior with the covariance of all errors that the data show."""
     found = with_correlated_residuals(found, chosen)
-    return replace(found, other_models=problem.term_deviations)
+    deviations, choice = problem.term_deviations, problem.choice
+    if deviations is not None and choice is not None and not choice.slips:
+        # Viscous friction of joints that moved too little takes the place of Coulomb friction.
+        unjudged = {f"{joint}/viscous" for joint in choice.unjudged}
+        columns = [name in unjudged for name in problem.prior.names]
+        deviations = np.hstack([deviations, np.diag(found.mean)[:, columns]])
+    return replace(found, other_models=deviations)
 
 
 def _solve(

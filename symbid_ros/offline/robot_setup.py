@@ -262,6 +262,7 @@ class _TopicMatcher:
             self.setup.note(
                 "contact", "CHECK: feet without a moment end in :point, balls in their radius."
             )
+            self.setup.note("contact", "A robot whose base is clamped needs base: fixed instead.")
         else:
             self.setup.options.pop("contact_flag", None)
 

@@ -53,3 +53,17 @@ def test_stamps_of_a_wrong_rate_come_before_other_alarms() -> None:
     )
     found = sy.identify(robot, log)
     assert re.search("is 0.1 times the rate .* check the rate of the stamps", found.alarms[0])
+
+
+def test_a_joint_at_rest_without_effort_beside_an_unpredicted_one() -> None:
+    robot = arm(seed=5)
+    moving = np.array([1.0, 1.0, 0.0])
+    joints = log_of(robot, drives(robot, viscous=0.4), seed=1, moving=moving).streams().joints
+    time = 1e-9 * (joints.stamp - joints.stamp[0])
+    position, effort = joints.position.copy(), joints.effort.copy()
+    position[:, -1], effort[:, -1] = 0.0, np.nan
+    effort[:, 0] = 20 * np.sin(9.1 * time + 3 * np.sin(2.3 * time))
+    log = sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
+    with np.errstate(invalid="raise"):
+        alarms = sy.identify(robot, log, unchecked=True).alarms
+    assert any(Alarm.UNPREDICTED_EFFORT in one and "joint_0" in one for one in alarms)

@@ -423,3 +423,17 @@ def test_friction_of_the_model_file_leaves_out_joints_that_rest():
     result = sy.identify(truth.model, log, unchecked=True)
     # Static friction is unknown, so a log at rest determines nothing.
     assert not any(one.is_determined for one in result.parameters.values())
+
+
+def test_viscous_friction_of_a_short_log_may_be_coulomb_friction():
+    robot = arm()
+    stated = drives(robot, viscous=0.003).model
+    whole = log_of(robot, drives(robot, viscous=0.4, coulomb=0.8), seconds=5.0).streams().joints
+    thin = slice(None, None, 7)
+    arrays = {"position": whole.position[thin], "effort": whole.effort[thin]}
+    log = sy.Log.from_arrays(stated, time=whole.stamp[thin], **arrays)
+    result = sy.identify(stated, log, unchecked=True, no_holdout=True)
+    for joint in robot.joint_names:
+        assert result.estimate.joint_terms[joint] == ("viscous",)
+        found = result.parameters[f"{joint}/viscous"]
+        assert abs(found.value - 0.4) < 5 * found.std

@@ -178,8 +178,7 @@ class _Efforts:
             bend += np.sum(np.diff(effort, n=2, axis=0) ** 2, axis=0) / 6
             rate = segment.rate
             count += len(effort)
-        size = np.maximum(square, 1e-300)
-        correlation = power / np.sqrt(size * np.maximum(motion, 1e-300))
+        correlation = power / np.maximum(np.sqrt(square * motion), 1e-300)
         return cls(np.sqrt(bend / max(count, 1)), correlation, rate)
 
     def averaged_noise(self, joint: int, window: float) -> float:

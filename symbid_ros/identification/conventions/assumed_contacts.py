@@ -67,7 +67,7 @@ def naming_contacts(options: Options, found: tuple[str, ...], source: str) -> Op
         return options
     logger.warning(
         "%s: no wrench sensor, so what acts on %s is taken as unknown; give `contact` %s if that "
-        "is right, or name the frames that touch something",
+        "is right, name the frames that touch something, or give `base` fixed if it is clamped",
         source,
         ", ".join(name.partition(":")[0] for name in found),
         ",".join(found),
