@@ -335,9 +335,8 @@ class GainRows(AveragingRows):
         parameters = self.parameters
         if not has_linear_rows(parameters):
             return average(self(readings), weights)
-        samples = with_filtered_friction(
-            at_base(readings, parameters.model), parameters.model, readings.recorded
-        )
+        samples = at_base(readings, parameters.model)
+        samples = with_filtered_friction(samples, parameters, readings.recorded)
         K, y = averaged_equation_of_motion(parameters, samples, csr_array(vstack(weights)))
         gains = self.gains.columns(parameters, readings)
         rows = Rows(-np.concatenate([gains, self._further(readings)], axis=2), y)

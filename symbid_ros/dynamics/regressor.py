@@ -397,25 +397,25 @@ def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, Float
     alone. As in MuJoCo, the rotor's motion with its link is neglected, because it is small
     compared to the geared motion (Featherstone 2008, sec. 9.6).
     """
+    joints, velocity = parameters.model.joints, samples.velocity
     armature = samples.acceleration
     if parameters.link_side:
         armature = armature.copy()
         armature[:, parameters.link_side] = 0.0
-    return {
-        "viscous": samples.velocity,
-        "coulomb": sliding_column(samples, parameters.model.joints),
+    sliding = sliding_column(samples, joints)
+    factors: dict[Term, FloatArray] = {
+        "viscous": velocity,
+        "coulomb": sliding,
         "armature": armature,
         "offset": np.ones(1),
-        "stribeck": stribeck_column(
-            samples.velocity,
-            parameters.model.joints,
-            sliding_column(samples, parameters.model.joints),
-        ),
-        "presliding": presliding_column(samples, parameters.model.joints),
-        "lead": lead_column(samples, parameters.model.joints),
-        "stiffness": samples.position
-        - np.array([joint.spring_reference for joint in parameters.model.joints]),
+        "stribeck": stribeck_column(velocity, joints, sliding),
+        "stiffness": samples.position - np.array([joint.spring_reference for joint in joints]),
     }
+    if "presliding" in parameters.terms:
+        factors["presliding"] = presliding_column(samples, joints)
+    if "lead" in parameters.terms:
+        factors["lead"] = lead_column(samples, joints)
+    return factors
 
 
 def _coupled_terms(

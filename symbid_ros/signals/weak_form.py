@@ -31,7 +31,6 @@ from symbid_ros.dynamics.regressor import (
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.decimation import Decimator, decimation_stride
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sampled_rows import (
@@ -171,7 +170,7 @@ class EquationRows(AveragingRows):
         parameters = self.parameters
         samples = at_base(readings, parameters.model)
         if not SLIDING_TERMS.isdisjoint((*parameters.terms, *parameters.known_terms)):
-            samples = with_filtered_friction(samples, parameters.model, readings.recorded)
+            samples = with_filtered_friction(samples, parameters, readings.recorded)
         return samples
 
 
@@ -181,7 +180,7 @@ def equation_rows(parameters: ParameterSet) -> EquationRows:
 
 
 def with_filtered_friction(
-    samples: Samples, model: RobotModel, recorded: RecordedPositions | None = None
+    samples: Samples, parameters: ParameterSet, recorded: RecordedPositions | None = None
 ) -> Samples:
     """Return consecutive samples with dry friction that is filtered like the efforts.
 
@@ -191,6 +190,7 @@ def with_filtered_friction(
     """
     if len(samples) < 2:
         return samples
+    model, terms = parameters.model, parameters.terms
     if recorded is not None:
         low_pass, rate = replace(recorded.decimator, edge=0).force, recorded.decimator.rate
         position, velocity = recorded.motion()
@@ -200,13 +200,14 @@ def with_filtered_friction(
         rate = 1e9 / float(np.median(np.diff(samples.stamp)))
         low_pass = partial(prefilter(rate)[0].force, rate=rate)
         position, velocity = samples.position, samples.velocity
-    acceleration = np.gradient(velocity, 1 / rate, axis=0)
-    return replace(
-        samples,
-        sliding=low_pass(coulomb_column(velocity, model.joints)),
-        friction_state=low_pass(friction_state(position, model.joints)),
-        leading=low_pass(leading_column(velocity, acceleration, model.joints)),
-    )
+    samples = replace(samples, sliding=low_pass(coulomb_column(velocity, model.joints)))
+    if "presliding" in terms:
+        samples = replace(samples, friction_state=low_pass(friction_state(position, model.joints)))
+    if "lead" in terms:
+        acceleration = np.gradient(velocity, 1 / rate, axis=0)
+        ahead = leading_column(velocity, acceleration, model.joints)
+        samples = replace(samples, leading=low_pass(ahead))
+    return samples
 
 
 def suitable_windows(windows: Sequence[float], rate: float) -> tuple[float, ...]:
