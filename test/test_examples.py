@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -55,6 +56,7 @@ def test_a_legged_robot_from_a_bag(bag, tmp_path) -> None:
 
 def test_logs_are_merged(tmp_path) -> None:
     robot, model = random_robot(1, links=4, wrench_frames=1), tmp_path / "robot.xml"
+    robot = replace(robot, joints=tuple(replace(one, effort=50.0) for one in robot.joints))
     parameters = ParameterSet(robot)
     drawn = draw_prior(parameters, "consistent", 25, 1)
     model.write_text(mjcf_text(parameters.apply(drawn.mean)))

@@ -486,7 +486,8 @@ def _with_all_errors(problem: Problem, found: Posterior, chosen: Observations) -
         # Viscous friction of joints that moved too little takes the place of Coulomb friction.
         unjudged = {f"{joint}/viscous" for joint in choice.unjudged}
         columns = [name in unjudged for name in problem.prior.names]
-        deviations = np.hstack([deviations, np.diag(found.mean)[:, columns]])
+        missing = np.diag(found.mean)[: len(deviations), columns]
+        deviations = np.hstack([deviations, missing])
     return replace(found, other_models=deviations)
 
 

@@ -204,7 +204,9 @@ def test_random_trees_obey_pinocchios_regressor(seed, tmp_path):
     assert relative_rmse(left, pinocchio_torque(model, path, samples, rng)) < 1e-11
 
 
-@pytest.mark.parametrize(("terms", "rank"), [((), 80), (("viscous", "coulomb"), 100), (TERMS, 160)])
+@pytest.mark.parametrize(
+    ("terms", "rank"), [((), 80), (("viscous", "coulomb"), 100), (TERMS[:-1], 160)]
+)
 def test_symbitron_has_the_thesis_base_parameters(terms, rank):
     model = load_model(CONFIG / "symbitron.urdf")
     samples = random_samples(model, 300, np.random.default_rng(3), ())
@@ -221,7 +223,7 @@ def test_joint_columns_are_eq_2_49_with_armature_and_offset():
     parameters = ParameterSet(model, TERMS)
     values = np.arange(10.0) + 20 * np.arange(6)[:, None]
     viscous, coulomb, armature, offset, stribeck, stiffness = values
-    phi = np.r_[np.zeros(110), values[:5].ravel(), np.zeros(20), stiffness]
+    phi = np.r_[np.zeros(110), values[:5].ravel(), np.zeros(20), stiffness, np.zeros(10)]
     torque = equation_of_motion(parameters, samples).K @ phi
     expected = viscous * samples.velocity + coulomb * np.sign(samples.velocity)
     expected += armature * samples.acceleration + offset + stiffness * samples.position
