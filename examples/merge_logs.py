@@ -9,7 +9,7 @@ import symbid_ros as sy
 
 
 def main(model: str, *bags: str) -> None:
-    """Print how the standard deviation of the total mass falls with each log."""
+    """Print what is known of the robot after each log."""
     robot = sy.load_model(model)
     options = sy.IdentifyOptions(method="map")
     information = []
