@@ -9,7 +9,7 @@ import symbid_ros as sy
 
 
 def main(model: str, *bags: str) -> None:
-    """Print what is known of the robot after each log."""
+    """Print the total mass and how many parameters are determined after each log."""
     robot = sy.load_model(model)
     options = sy.IdentifyOptions(method="map")
     information = []

@@ -486,8 +486,9 @@ def _with_all_errors(problem: Problem, found: Posterior, chosen: Observations) -
         # Viscous friction of joints that moved too little takes the place of Coulomb friction.
         unjudged = {f"{joint}/viscous" for joint in choice.unjudged}
         columns = [name in unjudged for name in problem.prior.names]
-        missing = np.diag(found.mean)[: len(deviations), columns]
-        deviations = np.hstack([deviations, missing])
+        # The posterior may know factors of drives as well, which have no rows here.
+        whole = np.diag(found.mean)[: len(deviations), columns]
+        deviations = np.hstack([deviations, whole])
     return replace(found, other_models=deviations)
 
 

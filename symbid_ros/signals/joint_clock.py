@@ -129,7 +129,7 @@ def find_copies(joints: JointStream) -> BoolArray:
         is_inside = len(run) > 0 and run[0] >= 2 and run[-1] + 1 < count
         if not 0 < len(run) <= most or not (is_inside or are_usual):
             continue
-        before = moves[run[0] - 2]  # of the second message, the last row
+        before = moves[run[0] - 2]  # of a run from the second message: the last row
         if np.mean(before & moves[run[-1]]) >= MOVING_SHARE:
             copies[run] = True
     return copies

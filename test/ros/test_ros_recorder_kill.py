@@ -25,7 +25,6 @@ def test_killed_recorder_loses_a_tenth_of_a_second_at_most(
         folder.mkdir()
         cost = kill_recorder(draw.uniform(0.3, 1.5), folder)
         if cost.standstill <= STANDSTILL:
-            # A recorder that waited for a processor all the time has kept nothing.
             assert max(cost.lost.values()) <= BOUND + cost.waited, cost
             return
     pytest.skip(f"the machine stands still for {cost.standstill * 1e3:.0f} ms at a time")

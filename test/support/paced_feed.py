@@ -101,14 +101,13 @@ def feed(feeds: Sequence[Feed], stop: Event, seconds: float = float("inf")) -> f
 class Kill:
     """Losses caused by a kill.
 
-    ``lost`` is the age of the oldest missing message, s, and ``kept`` the number of messages in
-    the bag, by topic. ``standstill`` is the longest delay, s, of the publisher or of a thread on
-    each processor that only reads the clock. ``waited`` is how long the threads of the recorder
-    were ready to run but had no processor in the last ``WINDOW`` seconds, s.
+    ``lost`` is the age of the oldest missing message, s, by topic. ``standstill`` is the longest
+    delay, s, of the publisher or of a thread on each processor that only reads the clock.
+    ``waited`` is how long the threads of the recorder were ready to run but had no processor in the
+    last ``WINDOW`` seconds, s.
     """
 
     lost: dict[str, float]
-    kept: dict[str, int]
     standstill: float
     waited: float
 
@@ -163,13 +162,14 @@ def _kill_while_feeding(pid: int, feeds: Sequence[Feed], seconds: float, bag: Pa
         stop.set()
     (file,) = bag.glob("*.mcap")
     stored = stored_stamps(file)
-    lost, kept = {}, {}
+    lost = {}
     for each in feeds:
         found = set(stored.get(f"/{each.topic}", ()))
-        missing = [stamp for stamp in each.stamps if stamp < killed and stamp not in found]
+        published = [stamp for stamp in each.stamps if stamp < killed]
+        assert published, f"nothing was published on {each.topic}"
+        missing = [stamp for stamp in published if stamp not in found]
         lost[each.topic] = (killed - min(missing)) * 1e-9 if missing else 0.0
-        kept[each.topic] = len(found)
-    return Kill(lost, kept, max(each.result() for each in late), waited)
+    return Kill(lost, max(each.result() for each in late), waited)
 
 
 def _time_without_processor(pid: int) -> dict[str, int]:

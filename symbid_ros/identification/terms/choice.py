@@ -331,24 +331,22 @@ class _Selection:
 
     def has_leading_friction(self, problem: Problem) -> bool:
         """Return whether the friction of the joints that have any reverses ahead of them."""
-        coulomb, leads = (
-            np.flatnonzero(self.parameters.of_term(term)) for term in ("coulomb", LEAD)
-        )
+        coulomb = np.flatnonzero(self.parameters.of_term("coulomb"))
+        leads = np.flatnonzero(self.parameters.of_term(LEAD))
         if not len(leads) or not self.free[coulomb].any():
             return False
         rubs = self.free[coulomb]
-        leads = leads[rubs]
-        prior = released_prior(self.found.prior, leads)
+        coulomb, leads = coulomb[rubs], leads[rubs]
         found = posterior(
             self.rows,
-            prior,
+            released_prior(self.found.prior, leads),
             problem.pseudo_measurements,
             tolerance=COMPARABLE,
             start=self.found.mean,
             correlation=self.rows.joint_correlation(self.found.mean),
             approximate=True,
         )
-        return have_common_lead(found, leads, coulomb[rubs])
+        return have_common_lead(found, leads, coulomb)
 
     @classmethod
     def of(
