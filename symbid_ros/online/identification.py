@@ -19,6 +19,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.calibration.tares import Tare
+from symbid_ros.identification.conventions.assumed_contacts import assumed_contacts
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.rows.accumulator import (
@@ -43,6 +44,7 @@ from symbid_ros.online.live_terms import LiveTerms
 from symbid_ros.online.message_intake import MessageIntake
 from symbid_ros.online.weight_check import WeightCheck, setup_fault
 from symbid_ros.signals.calibrating_rows import CalibratingRows
+from symbid_ros.signals.log import Log
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suitable_windows
 
 logger = logging.getLogger(__name__)
@@ -96,6 +98,9 @@ class OnlineIdentification:
         Number of blocks that could not be used.
     setup_fault : str
         Why these topics and options cannot give an estimate; empty if they can.
+    standing_on : tuple of str
+        With a `setup_fault`, where a robot with legs seems to stand, as `contact` names it. Empty
+        until a block of messages shows it; nothing is identified afterwards.
     """
 
     def __init__(self, initial_state: InitialState, selected: SelectedTopics, pace: Pace) -> None:
@@ -114,6 +119,7 @@ class OnlineIdentification:
         model = self._parameters.model
         self.intake = MessageIntake(selected, model, self.streams, self._restart_clock)
         self.setup_fault = setup_fault(selected, model)
+        self.standing_on: tuple[str, ...] = ()
         self._weight = WeightCheck(self._parameters, self.streams, self.setup_fault)
         self._posterior: Posterior | None = None
         # With the number of blocks from which it was found.
@@ -169,9 +175,19 @@ class OnlineIdentification:
     def advance(self) -> None:
         """Queue complete blocks and add the rows of processed ones."""
         for span in self._scheduler.complete_blocks():
+            if self.setup_fault and (found := self._assumed_contacts(span)):
+                self.standing_on = found
+                return  # the messages stay in the buffers
             self._submit(span)
         worker = self._worker
         self._add_processed(worker.finish() if self._pace.in_step else worker.take_finished())
+
+    def _assumed_contacts(self, span: TimeSpan) -> tuple[str, ...]:
+        """Return where the robot seems to stand in a block whose messages are still buffered."""
+        if span.fault or self._options.information is not None:
+            return ()  # an earlier run had its own contacts
+        streams = self.streams.between(span.start, span.stop)
+        return assumed_contacts(self._parameters.model, Log.from_streams(streams))
 
     def hurry(self, timeout: float) -> bool:
         """Process queued blocks for at most ``timeout`` s; return whether all are processed.

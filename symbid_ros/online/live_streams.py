@@ -1,7 +1,7 @@
 """Buffers the newest seconds of live topics."""
 
 from array import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -77,6 +77,11 @@ class TopicBuffer:
             self.newest = stamp
         if len(self._payloads) % CLEANUP_INTERVAL == 0:
             self.drop_before(self.newest - MAX_AGE)
+
+    @property
+    def messages(self) -> Iterator[tuple[int, bytes]]:
+        """The buffered messages in order of arrival, each with its stamp, ns."""
+        return zip(self._stamps, self._payloads, strict=True)
 
     @property
     def stamps(self) -> IntArray:
@@ -286,6 +291,16 @@ class LiveStreams:
             counts.messages = decoders[topic].count
             counts.report()
         return streams
+
+    def messages(self) -> Iterator[tuple[Topic, bytes]]:
+        """Yield the buffered messages of all topics in the order of their stamps."""
+        buffered = (
+            (stamp, index, topic, payload)
+            for topic, buffer in self.buffers.items()
+            for index, (stamp, payload) in enumerate(buffer.messages)
+        )
+        for _, _, topic, payload in sorted(buffered, key=lambda one: one[:2]):
+            yield topic, payload
 
     def newest_joints(self, duration: int) -> JointStream:
         """Return the joint states of the last ``duration`` ns, without a report of defects.

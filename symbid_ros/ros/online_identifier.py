@@ -19,6 +19,7 @@ from symbid_ros.bags import bag_log
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.provenance import Provenance, command_line
 from symbid_ros.identification.calibration.tares import Tare, read_tare
+from symbid_ros.identification.conventions.assumed_contacts import naming_contacts
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import check_output, export_urdf, write_identification
 from symbid_ros.learning.candidate import RobotUncertainty, candidate_model, robot_uncertainty
@@ -71,7 +72,7 @@ class OnlineIdentifier:
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
-        model = load_model(*model_of(values))
+        self._model = model = load_model(*model_of(values))
         options = identify_options(values)
         log = log_options(values)
         for reason in unused_live(options, log).values():
@@ -105,6 +106,7 @@ class OnlineIdentifier:
         self._requests = ServiceRequests()
         self._is_enabled = True
         self._identification: OnlineIdentification | None = None
+        self._has_assumed_contacts = False
         self._selected: SelectedTopics | None = None
         self._unused: set[str] = set()
         self._receiver = MessageReceiver()
@@ -165,24 +167,46 @@ class OnlineIdentifier:
     def _update_topics(self) -> None:
         """Start identification as soon as the graph has the robot's topics.
 
-        Topics that appear later restart it as long as there is no estimate to lose. Without a
-        wrench sensor that carries weight, for example, there is none.
+        Topics that appear later restart it as long as there is no estimate to lose. Wrench sensors
+        always do if contacts were only assumed, because they say far more.
         """
         selected = self._sensors.find()
         if selected is None or selected == self._selected:
             return
         names = ", ".join(topic.name for topic in selected.all)
         if self._identification is not None:
-            if self._newest is not None:
+            measures_contacts = self._has_assumed_contacts and bool(selected.wrenches)
+            if self._newest is not None and not measures_contacts:
                 self._report_unused(selected)
                 return
             self._node.get_logger().warning(f"new topics appeared; restarting with {names}")
             self._identification.close()
+            self._forget_estimate()
+            if measures_contacts:
+                self._name_contacts(replace(self._initial_state.options, contact=()))
+                self._has_assumed_contacts = False
         self._identification = OnlineIdentification(self._initial_state, selected, self._pace)
         self._receiver.subscribe(())  # some of them may be closed
         self._receiver.subscribe(self._sensors.subscriptions(selected))
         self._selected = selected
         self._node.get_logger().info(f"identifying {self._parameters.model.name} from {names}")
+
+    def _assume_contacts(self) -> None:
+        """Start anew with unknown forces where a robot without wrench sensors seems to stand."""
+        before, selected = self._live, self._selected
+        if not before.standing_on or selected is None:
+            return
+        options = self._initial_state.options
+        self._name_contacts(naming_contacts(options, before.standing_on, "live topics"))
+        self._has_assumed_contacts = True
+        before.close()
+        self._identification = OnlineIdentification(self._initial_state, selected, self._pace)
+        for topic, payload in before.streams.messages():
+            self._live.intake.feed(topic, payload)
+
+    def _name_contacts(self, options: IdentifyOptions) -> None:
+        self._initial_state = InitialState.of(self._model, options, self._initial_state.tares)
+        self._parameters = self._initial_state.problem.parameters
 
     def _report_unused(self, selected: SelectedTopics) -> None:
         """Warn once of each topic that appeared too late, and unsubscribe from it."""
@@ -202,6 +226,7 @@ class OnlineIdentifier:
         while not stop.is_set():
             count = self._receive()
             self._live.advance()
+            self._assume_contacts()
             self._requests.perform()
             now = time.monotonic()
             if now - discovered >= LATER_DISCOVERY_PERIOD:
@@ -362,11 +387,14 @@ class OnlineIdentifier:
         self._node.get_logger().info(text)
         return text
 
-    def _reset(self) -> str:
-        self._live.reset()
+    def _forget_estimate(self) -> None:
         self._newest = None
         self._remove_live_model()
         self._markers.clear()
+
+    def _reset(self) -> str:
+        self._live.reset()
+        self._forget_estimate()
         text = "all data are discarded; prior and tares remain"
         if self._has_saved:
             text += f"; the next save or the end replaces the result in {self._out}: copy it first"

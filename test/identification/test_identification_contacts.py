@@ -165,6 +165,26 @@ def test_live_messages_give_the_same(robot, true_robot, readings, tmp_path):
     assert found.value[:130:10].sum() == pytest.approx(true_robot.phi[:, 0].sum(), rel=0.02)
 
 
+def test_live_messages_show_where_the_robot_stands(robot, readings, tmp_path):
+    feet = {f"/{foot}/wrench" for foot in FEET}
+    short = {topic: values for topic, values in readings.items() if topic not in feet}
+    feed = feed_of(record_log(short, robot, tmp_path / "bag"))
+    start = InitialState.of(robot, IdentifyOptions(no_holdout=True, joint_terms=("none",)))
+    live = OnlineIdentification(start, feed.selected, Pace(share=1.0))
+    try:
+        assert live.setup_fault
+        assert not live.standing_on
+        feed.into(live)
+        live.advance()
+        assert live.standing_on == POINTS
+        # No message is lost, so that another identification can take them all.
+        for topic in feed.selected.all:
+            fed = [payload for _, one, payload in feed.messages if one == topic]
+            assert [payload for one, payload in live.streams.messages() if one == topic] == fed
+    finally:
+        live.close()
+
+
 @pytest.fixture(scope="module")
 def steps(true_robot):
     """It lifts one foot after the other; its drives do not rub."""

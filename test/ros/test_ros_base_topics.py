@@ -2,23 +2,26 @@
 
 import json
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from nav_msgs.msg import Odometry
 from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from random_logs import LogPlan, random_streams, write_bag
 from random_robots import random_robot
+from rcl_interfaces.msg import Log
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification.api import identify
 from symbid_ros.messages.types import (
     IMU,
@@ -50,13 +53,34 @@ def played(
 
     Its result is saved until it is complete: messages may still wait to be read.
     """
-    # They keep the topics on the graph when the player ends before the identifier has found them.
+    with published(graph, topics):
+        live = graph.start(
+            "identifier", out=out, lag=30.0, settle=0.0, queue_depth=10_000, **QUICK, **parameters
+        )
+        play(graph, bag)
+        save_until(graph, is_complete)
+    live.send(signal.SIGINT)
+    ended = live.ended()
+    assert ended.status == 0, ended.err
+    found: dict[str, Any] = json.loads(ended.out.splitlines()[-1])
+    return found
+
+
+@contextmanager
+def published(graph, topics: dict[str, type]) -> Iterator[None]:
+    """Keep topics on the graph when a player ends before the identifier has found them."""
     publishers = [graph.node.create_publisher(kind, name, 10) for name, kind in topics.items()]
-    live = graph.start(
-        "identifier", out=out, lag=30.0, settle=0.0, queue_depth=10_000, **QUICK, **parameters
-    )
+    yield
+    for one in publishers:
+        graph.node.destroy_publisher(one)
+
+
+def play(graph, bag: Path) -> None:
     player = graph.start("player", bag=f"['{bag}']", rate=0.0, wait_for_subscribers=True)
     assert player.ended().status == 0
+
+
+def save_until(graph, is_complete: Callable[[], bool]) -> None:
     client = graph.node.create_client(Trigger, "/identifier/save")
     graph.wait_until(client.service_is_ready)
 
@@ -66,13 +90,6 @@ def played(
         return answer.result().success and is_complete()
 
     graph.wait_until(is_saved)
-    for one in publishers:
-        graph.node.destroy_publisher(one)
-    live.send(signal.SIGINT)
-    ended = live.ended()
-    assert ended.status == 0, ended.err
-    found: dict[str, Any] = json.loads(ended.out.splitlines()[-1])
-    return found
 
 
 def informations(folder: Path) -> list[np.ndarray]:
@@ -111,6 +128,50 @@ def test_contact_flags_and_the_pose_of_the_base(graph, tmp_path: Path) -> None:
     names = found.layout.coordinates
     has_rows = {name for name, count in zip(names, found.counts.diagonal(), strict=True) if count}
     assert has_rows > {names[index] for index in all_touch.contacts.coordinates}
+
+
+def test_a_robot_without_foot_sensors_stands_on_its_feet_until_these_appear(
+    graph, tmp_path: Path
+) -> None:
+    urdf = tmp_path / "quadruped.urdf"
+    urdf.write_text(quadruped_urdf())
+    robot = load_model(urdf)
+    log = standing_log(robot, 30.0, 3, friction=0.0)
+    motion = {"/joint_states": JointState, "/imu": Imu}
+    everything = motion | {f"/{foot}/wrench": WrenchStamped for foot in FEET}
+
+    def part(start: float, stop: float, names: Iterable[str], name: str) -> Path:
+        rows = (log["/imu"]["time"] >= start) & (log["/imu"]["time"] < stop)
+        some = {name: {key: one[rows] for key, one in log[name].items()} for name in names}
+        return record_log(some, robot, tmp_path / name)
+
+    def contacts() -> tuple[str, ...]:
+        return load_estimate(out / "estimate.json").contacts
+
+    def mass() -> float:
+        value: float = load_estimate(out / "estimate.json").value[: robot.phi.size : 10].sum()
+        return value
+
+    out = tmp_path / "live"
+    said: list[str] = []
+    graph.node.create_subscription(Log, "/rosout", lambda one: said.append(one.msg), 1000)
+    with published(graph, motion):
+        live = graph.start(
+            "identifier", model=urdf, out=out, lag=30.0, settle=0.0, queue_depth=10_000, **QUICK
+        )
+        play(graph, part(0.0, 15.0, motion, "without"))
+        save_until(graph, lambda: contacts() == POINTS)
+        assert mass() == pytest.approx(robot.phi[:, 0].sum(), rel=0.02)
+        with published(graph, everything):
+            play(graph, part(15.0, 16.0, everything, "first"))
+            graph.wait_until(lambda: any("new topics appeared; restarting" in one for one in said))
+            play(graph, part(16.0, 30.0, everything, "with"))
+            save_until(graph, lambda: not contacts())
+    assert mass() == pytest.approx(robot.phi[:, 0].sum(), rel=0.005)
+    live.send(signal.SIGINT)
+    ended = live.ended()
+    assert ended.status == 0, ended.err
+    assert "live topics: no wrench sensor" in ended.err
 
 
 @pytest.mark.parametrize("kind", [ODOMETRY, IMU])
