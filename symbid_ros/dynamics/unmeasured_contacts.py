@@ -33,7 +33,7 @@ from symbid_ros.dynamics.kinematics import LinkPoses, link_poses, skew
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.upright import upward
 from symbid_ros.errors import ModelError
-from symbid_ros.model.tree import Contacts, RobotModel
+from symbid_ros.model.tree import Contacts, RobotModel, ball_around
 
 # Factor below which a row is no part of a combination.
 NEGLIGIBLE = 1e-12
@@ -63,7 +63,8 @@ def with_contacts(model: RobotModel, contacts: Sequence[str]) -> RobotModel:
     contacts : sequence of str
         ``FRAME`` or ``FRAME:surface`` for a contact with force and moment, ``FRAME:RADIUS`` for one
         with a force alone at the bottom of a ball about the frame's origin, m, and ``FRAME:point``
-        for one at the bottom of the model's ball, or at the origin if the model has no ball there.
+        for one at the bottom of the model's ball in which, or on which, the frame lies, or else at
+        its origin.
 
     Raises
     ------
@@ -72,8 +73,9 @@ def with_contacts(model: RobotModel, contacts: Sequence[str]) -> RobotModel:
     """
     if not contacts:
         return model
-    frames = tuple(model.frame(one.partition(":")[0], "contact").name for one in contacts)
-    found = _eliminated(model, tuple(_explicit(model, one) for one in contacts), frames)
+    explicit = tuple(_explicit(model, one) for one in contacts)
+    frames = tuple(model.frame(one.partition(":")[0]).name for one in explicit)
+    found = _eliminated(model, explicit, frames)
     if not len(found.coordinates):
         raise ModelError(
             f"{model.source}: unknown wrenches at {', '.join(frames)} explain any motion of this "
@@ -94,8 +96,21 @@ def contact_radius(model: RobotModel, contact: str) -> float | None:
 def _explicit(model: RobotModel, contact: str) -> str:
     """Return a contact with the radius of the model's ball in place of ``point``."""
     name, _, kind = contact.partition(":")
-    radius = model.frame(name).radius
-    return f"{name}:{radius:.6g}" if kind == POINT and radius else contact
+    ball = ball_around(model, model.frame(name, "contact"))
+    return f"{ball.name}:{ball.radius:.6g}" if kind == POINT and ball else contact
+
+
+def touched_frame(model: RobotModel, name: str) -> str:
+    """Return the frame of the contact of which a flag with a frame's name tells.
+
+    It is the frame itself, unless it lies in the ball of a contact. A frame that belongs to no
+    contact is returned as it is.
+    """
+    frames = () if model.contacts is None else model.contacts.frames
+    if name in frames:
+        return name
+    ball = ball_around(model, model.frame(name))
+    return ball.name if ball is not None and ball.name in frames else name
 
 
 def _radius(name: str) -> float | None:

@@ -157,6 +157,19 @@ def with_radii_of_balls(frames: Iterable[Frame]) -> tuple[Frame, ...]:
     return tuple(replace(frame, radius=radius(frame)) for frame in frames)
 
 
+def ball_around(model: "RobotModel", frame: Frame) -> Frame | None:
+    """Return the ball in which, or on which, a frame's origin lies; None if there is none.
+
+    It is the frame itself if that is at the centre of a ball.
+    """
+    if frame.radius:
+        return frame
+    balls = [one for one in model.frames if _distance(one, frame) < one.radius + AT_CENTER]
+    return min(
+        (one for one in balls if one.radius), key=lambda one: _distance(one, frame), default=None
+    )
+
+
 def _distance(first: Frame, second: Frame) -> float:
     """Return the distance of two frames' origins, m; infinite between links."""
     if first.link != second.link:

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, distinct
+from symbid_ros.dynamics.unmeasured_contacts import touched_frame
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.ball_moments import with_moments_of_balls
@@ -135,7 +136,7 @@ def _touching(streams: Streams, grid: IntArray, model: RobotModel) -> BoolArray 
     """Return which contacts (M, C) may touch something at stamps (M,); None without flags."""
     if not streams.flags or model.contacts is None:
         return None
-    flags = {one.frame_id: one.at(grid, FLAG_MARGIN) for one in streams.flags}
+    flags = {touched_frame(model, one.frame_id): one.at(grid, FLAG_MARGIN) for one in streams.flags}
     always = np.ones(len(grid), dtype=bool)
     return np.stack([flags.get(frame, always) for frame in model.contacts.frames], axis=1)
 
@@ -256,7 +257,7 @@ def _segment(
     sensor_rates = rates[: len(imus)]
     unmeasured = () if model.contacts is None else model.contacts.frames
     for sensor, reading, rate in zip(streams.wrenches, wrenches, rates[len(imus) :], strict=True):
-        if sensor.frame_id in unmeasured:
+        if touched_frame(model, sensor.frame_id) in unmeasured:
             continue
         if (place := model.wrist_sensors.get(sensor.frame_id)) is None:
             contacts[sensor.topic] = reading

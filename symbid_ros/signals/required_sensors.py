@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from symbid_ros.dynamics.unmeasured_contacts import MOST_FLAGGED
+from symbid_ros.dynamics.unmeasured_contacts import MOST_FLAGGED, touched_frame
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.options import robot_file_line
@@ -78,7 +78,7 @@ def contact_flag_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
     """Yield what is wrong with each topic of contact flags that belongs to no named contact."""
     names = () if model.contacts is None else model.contacts.frames
     for one in streams.flags:
-        if one.frame_id not in names:
+        if touched_frame(model, one.frame_id) not in names:
             named = ", ".join(names) or "none"
             yield (
                 f"{one.topic}: its flags are for {one.frame_id}, but the named contacts are "

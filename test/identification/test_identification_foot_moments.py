@@ -9,6 +9,7 @@ from live_feed import feed_of
 from quadruped_log import FEET, inaccurate, quadruped_urdf, record_log, standing_log
 
 import symbid_ros as sy
+from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import ModelError, OptionError
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.identification.contacts import with_robot_options
@@ -22,6 +23,7 @@ from symbid_ros.identification.rows.aligned_log import AlignedLog, joined_segmen
 from symbid_ros.offline.bags import load_bag
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
+from symbid_ros.signals.alignment import align_checked
 from symbid_ros.signals.log import Log
 
 RADIUS = 0.03
@@ -55,7 +57,7 @@ def readings(true_robot):
     }
 
 
-def log_of(robot, readings, *, moments=0.0, feet=FEET):
+def log_of(robot, readings, *, moments=0.0, feet=FEET, touches=None):
     joints, imu = readings["/joint_states"], readings["/imu"]
     factors = FORCES + moments * (1.0 - FORCES)
     return Log.from_arrays(
@@ -65,6 +67,7 @@ def log_of(robot, readings, *, moments=0.0, feet=FEET):
         effort=joints["effort"],
         imus={"imu_link": np.hstack([imu["angular_velocity"] - 0.01, imu["linear_acceleration"]])},
         wrenches={foot: readings[f"/{foot}/wrench"]["wrench"] * factors for foot in feet},
+        touches=touches,
     )
 
 
@@ -145,6 +148,38 @@ def test_feet_without_sensors_show_where_the_ground_pushes(robot, readings):
     frames = tuple(replace(one, radius=DEPTH * (one.radius > 0)) for one in robot.frames)
     right = replace(robot, frames=frames)
     assert set(assumed_contacts(right, log)) == {f"{foot}:{DEPTH}" for foot in FEET}
+    # Without a ball in the file, the ground pushes below the frames if the log shows it.
+    bare = replace(robot, frames=tuple(replace(one, radius=0.0) for one in robot.frames))
+    found = dict(one.split(":") for one in assumed_contacts(bare, log))
+    np.testing.assert_allclose([float(one) for one in found.values()], DEPTH, atol=2e-3)
+    at_frames = assumed_contacts(bare, log_of(robot, readings[0.0], feet=()))
+    assert set(at_frames) == {f"{foot}:point" for foot in FEET}
+
+
+def test_flags_of_frames_in_balls_tell_of_these(true_robot, readings, tmp_path):
+    shin = '<link name="{leg}_KFE_link"><collision><origin xyz="0 0 -{at}"/>'
+    shin += f'<geometry><sphere radius="{RADIUS}"/></geometry></collision>'
+    text = quadruped_urdf()
+    for leg in ("LF", "RF", "LH", "RH"):
+        text = text.replace(f'<link name="{leg}_KFE_link">', shin.format(leg=leg, at=0.26))
+    path = tmp_path / "balls.urdf"
+    path.write_text(text)
+    robot = sy.load_model(path)
+    touches = np.ones((len(FEET), len(readings[DEPTH]["/imu"]["time"])), bool)
+    touches[0, 100:200] = False
+    log = log_of(robot, readings[DEPTH], feet=(), touches=dict(zip(FEET, touches, strict=True)))
+    named = [f"{foot}:point" for foot in FEET]
+    balls = tuple(f"{foot.partition('_')[0]}_KFE_link_end:{RADIUS}" for foot in FEET)
+    on_balls = with_contacts(robot, named)
+    assert on_balls.contacts.names == with_contacts(robot, balls).contacts.names == balls
+    assert [one.partition(":")[0] for one in assumed_contacts(robot, log)] == [
+        one.partition(":")[0] for one in balls
+    ]
+    (segment,) = align_checked(log.streams(), on_balls)
+    assert segment.touching is not None
+    lifted = ~segment.touching
+    assert 0 < lifted[:, 0].sum() < 150
+    assert not lifted[:, 1:].any()
 
 
 def test_sensors_are_checked(robot):

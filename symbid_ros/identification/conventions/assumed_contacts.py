@@ -16,7 +16,7 @@ from symbid_ros.errors import ModelError
 from symbid_ros.identification.conventions.contact_radii import with_fitted_radii
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.robot_options import RobotOptions
-from symbid_ros.model.tree import AT_CENTER, Frame, RobotModel
+from symbid_ros.model.tree import Frame, RobotModel, ball_around
 from symbid_ros.signals.alignment import warn_once
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
@@ -152,16 +152,11 @@ def chain_ends(robot: RobotModel) -> list[Frame]:
         frames = [frame for frame in robot.frames if frame.link == link]
         feet = [frame for frame in frames if FOOT_WORDS.search(frame.name)]
         own = robot.frame(robot.link_names[link])
-        balls = [one for one in frames if one.radius and (not feet or _has_any_in(one, feet))]
-        balls = [foot for foot in feet if foot.radius] or balls
+        balls = [one for one in frames if one.radius]
+        if feet:
+            balls = [ball for foot in feet if (ball := ball_around(robot, foot)) is not None]
         ends.append(max(balls or [*(feet or frames), own], key=_reach))
     return ends
-
-
-def _has_any_in(ball: Frame, frames: list[Frame]) -> bool:
-    """Return whether the origin of a frame is in a ball, or on it."""
-    reach = ball.radius + AT_CENTER
-    return any(np.linalg.norm(one.translation - ball.translation) < reach for one in frames)
 
 
 def leg_ends(robot: RobotModel) -> tuple[str, ...]:
