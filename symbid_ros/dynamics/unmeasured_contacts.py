@@ -106,11 +106,12 @@ def touched_frame(model: RobotModel, name: str) -> str:
     It is the frame itself, unless it lies in the ball of a contact. A frame that belongs to no
     contact is returned as it is.
     """
-    frames = () if model.contacts is None else model.contacts.frames
-    if name in frames:
+    touching = () if model.contacts is None else model.contacts.frames
+    known = next((one for one in model.frames if one.name == name), None)
+    if name in touching or known is None:
         return name
-    ball = ball_around(model, model.frame(name))
-    return ball.name if ball is not None and ball.name in frames else name
+    ball = ball_around(model, known)
+    return ball.name if ball is not None and ball.name in touching else name
 
 
 def _radius(name: str) -> float | None:

@@ -174,10 +174,13 @@ class OnlineIdentification:
 
     def advance(self) -> None:
         """Queue complete blocks and add the rows of processed ones."""
+        if self.standing_on:
+            return
         for span in self._scheduler.complete_blocks():
-            if self.setup_fault and (found := self._assumed_contacts(span)):
-                self.standing_on = found
-                return  # the messages stay in the buffers
+            if self.setup_fault:
+                self.standing_on = self._assumed_contacts(span)
+                if self.standing_on:
+                    return  # the messages stay in the buffers
             self._submit(span)
         worker = self._worker
         self._add_processed(worker.finish() if self._pace.in_step else worker.take_finished())
