@@ -63,8 +63,8 @@ def with_contacts(model: RobotModel, contacts: Sequence[str]) -> RobotModel:
     contacts : sequence of str
         ``FRAME`` or ``FRAME:surface`` for a contact with force and moment, ``FRAME:RADIUS`` for one
         with a force alone at the bottom of a ball about the frame's origin, m, and ``FRAME:point``
-        for one at the bottom of the model's ball in which, or on which, the frame lies, or else at
-        its origin.
+        for one at the bottom of the ball of the model that contains the frame's origin, or else at
+        that origin.
 
     Raises
     ------
@@ -101,10 +101,9 @@ def _explicit(model: RobotModel, contact: str) -> str:
 
 
 def touched_frame(model: RobotModel, name: str) -> str:
-    """Return the frame of the contact of which a flag with a frame's name tells.
+    """Return the frame of the contact to which a contact flag or wrench of a frame belongs.
 
-    It is the frame itself, unless it lies in the ball of a contact. A frame that belongs to no
-    contact is returned as it is.
+    It is the ball of a contact if that contains the named frame, otherwise the named frame itself.
     """
     touching = () if model.contacts is None else model.contacts.frames
     known = next((one for one in model.frames if one.name == name), None)

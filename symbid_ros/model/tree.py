@@ -158,9 +158,9 @@ def with_radii_of_balls(frames: Iterable[Frame]) -> tuple[Frame, ...]:
 
 
 def ball_around(model: "RobotModel", frame: Frame) -> Frame | None:
-    """Return the ball in which, or on which, a frame's origin lies; None if there is none.
+    """Return the ball that contains a frame's origin, or None.
 
-    It is the frame itself if that is at the centre of a ball.
+    A frame at the centre of a ball is returned as it is.
     """
     if frame.radius:
         return frame

@@ -156,7 +156,7 @@ def test_feet_without_sensors_show_where_the_ground_pushes(robot, readings):
     assert set(at_frames) == {f"{foot}:point" for foot in FEET}
 
 
-def test_flags_of_frames_in_balls_tell_of_these(true_robot, readings, tmp_path):
+def test_flags_of_frames_in_balls_tell_of_these(readings, tmp_path):
     shin = '<link name="{leg}_KFE_link"><collision><origin xyz="0 0 -{at}"/>'
     shin += f'<geometry><sphere radius="{RADIUS}"/></geometry></collision>'
     text = quadruped_urdf()

@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from nav_msgs.msg import Odometry
-from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
+from quadruped_log import (
+    FEET,
+    inaccurate,
+    load_quadruped,
+    quadruped_urdf,
+    record_log,
+    standing_log,
+)
 from random_logs import LogPlan, random_streams, write_bag
 from random_robots import random_robot
 from rcl_interfaces.msg import Log
@@ -133,9 +140,12 @@ def test_contact_flags_and_the_pose_of_the_base(graph, tmp_path: Path) -> None:
 def test_a_robot_without_foot_sensors_stands_on_its_feet_until_these_appear(
     graph, tmp_path: Path
 ) -> None:
-    urdf = tmp_path / "quadruped.urdf"
-    urdf.write_text(quadruped_urdf())
-    robot = load_model(urdf)
+    robot = load_quadruped(tmp_path)
+    urdf = tmp_path / "wrong.urdf"
+    wrong = inaccurate(robot)
+    urdf.write_text(urdf_text(wrong))
+    weight = robot.phi[:, 0].sum()
+    assert wrong.phi[:, 0].sum() != pytest.approx(weight, rel=0.03)
     log = standing_log(robot, 30.0, 3, friction=0.0)
     motion = {"/joint_states": JointState, "/imu": Imu}
     everything = motion | {f"/{foot}/wrench": WrenchStamped for foot in FEET}
@@ -161,13 +171,13 @@ def test_a_robot_without_foot_sensors_stands_on_its_feet_until_these_appear(
         )
         play(graph, part(0.0, 15.0, motion, "without"))
         save_until(graph, lambda: contacts() == POINTS)
-        assert mass() == pytest.approx(robot.phi[:, 0].sum(), rel=0.02)
+        assert mass() == pytest.approx(weight, rel=0.02)
         with published(graph, everything):
             play(graph, part(15.0, 16.0, everything, "first"))
             graph.wait_until(lambda: any("new topics appeared; restarting" in one for one in said))
             play(graph, part(16.0, 30.0, everything, "with"))
             save_until(graph, lambda: not contacts())
-    assert mass() == pytest.approx(robot.phi[:, 0].sum(), rel=0.005)
+    assert mass() == pytest.approx(weight, rel=0.005)
     live.send(signal.SIGINT)
     ended = live.ended()
     assert ended.status == 0, ended.err
