@@ -138,7 +138,11 @@ def test_a_client_takes_models_from_an_identifier(graph, client: Client, tmp_pat
     assert balancer.stderr is not None
     graph.wait_until(lambda: select.select([balancer.stderr], [], [], 0.0)[0])
     assert balancer.stderr.readline().startswith("waiting for measurements")
-    assert balancer.stderr.readline().startswith("model identified until ")
+    # The first estimates of a busy machine may be from too few data.
+    line = balancer.stderr.readline()
+    while line.startswith("the identified model is not used: "):
+        line = balancer.stderr.readline()
+    assert line.startswith("model identified until ")
     identifier.kill()  # the robot stands on with the last model
     time = float(statuses.value(SIMULATION, "time"))
     graph.wait_until(lambda: float(statuses.value(SIMULATION, "time")) > time + 1.5)
