@@ -7,9 +7,11 @@ import numpy as np
 
 from symbid_ros.diagnosis.common_scale import (
     KGF,
+    MASS_ERROR,
     MILLI,
     Cause,
     ScaleEvidence,
+    load_cause,
     masses_fault,
     unit_name,
     unit_of,
@@ -116,6 +118,7 @@ def check_forces(
     if statistics.model.floating:
         figures["weight_left"] = gains.before / statistics.weight
         figures["weight_left_with_gains"] = gains.after / statistics.weight
+        figures["weight_carried"] = statistics.carried_share
     for index, turn in rotations.items():
         figures[f"{frames[index]}/gain"] = turn.sign * turn.scale
         figures[f"{frames[index]}/angle_deg"] = float(np.degrees(turn.angle))
@@ -169,6 +172,8 @@ def check_forces(
     if several or vanishing:
         remark = _noise_remark(statistics) + _offset_remark(statistics, topics)
         found = [_contradiction([joints, *topics.values()], remark)]
+    if not found and rotations and statistics.model.floating:
+        found = list(_weight_findings(statistics, frames))
     left_out: tuple[str, ...] = ()
     if rotations and not is_anchored:
         left_out = (
@@ -272,7 +277,13 @@ def _unexplained(
         "check the IMU's frame and for a joint's position with a wrong sign",
     )
     factor = unit_of(weight / statistics.carried) if statistics.carried > 0 else None
-    if factor is not None:
+    g = float(np.linalg.norm(statistics.model.gravity))
+    weighed, stated = _kilograms(statistics.carried / g), _kilograms(weight / g)
+    if factor is None:
+        contradiction += f", and they carry {weighed} of {stated}"
+        if statistics.carried < (1 - MASS_ERROR) * weight:
+            advice = f"take away what else carries the robot, such as a crane; {advice}"
+    else:
         # Efforts may be right although forces are not, so their limits are no evidence.
         cause = ScaleEvidence(statistics.scale_evidence.density).cause(factor)
         faults = {
@@ -280,8 +291,6 @@ def _unexplained(
             Cause.UNIT: f"forces were in {unit_name(factor, 'N')}",
         }
         as_if = f"as if {' or '.join(faults.values()) if cause is None else faults[cause]}"
-        g = float(np.linalg.norm(statistics.model.gravity))
-        weighed, stated = _kilograms(statistics.carried / g), _kilograms(weight / g)
         if cause is Cause.MASSES:
             figures["masses_times"] = factor
             contradiction = f"the model weighs {stated}, {wrenches} carry {weighed}, {as_if}"
@@ -290,6 +299,27 @@ def _unexplained(
             contradiction += f": they carry {weighed} and the model weighs {stated}, {as_if}"
     text = f"{contradiction}; {advice}"
     return Finding(Kind.WEIGHT, "", Severity.UNUSABLE, text, figures)
+
+
+def _weight_findings(statistics: ModelStatistics, frames: Sequence[str]) -> Iterator[Finding]:
+    """Yield a finding if wrenches that agree with the efforts carry another mass than the model's.
+
+    Gains that all differ from one alike are no fault of a sensor, and links adapt to them.
+    """
+    share = statistics.carried_share
+    if abs(share - 1) <= MASS_ERROR:
+        return
+    stated = statistics.weight / float(np.linalg.norm(statistics.model.gravity))
+    carried = _kilograms(share * stated)
+    yield Finding(
+        Kind.WEIGHT,
+        "",
+        Severity.WARNING,
+        f"the wrenches (frames: {', '.join(frames)}) carry {carried}, {share:.2f} times the "
+        f"{_kilograms(stated)} of the model: weigh the robot; if it weighs {carried}, correct the "
+        f"model's masses; if it weighs what the model does, {load_cause(share - 1)}",
+        {"carried_share": share},
+    )
 
 
 def _kilograms(mass: float) -> str:

@@ -1,15 +1,15 @@
 """The robot as options say it is: its mounting, wrist sensors and contacts."""
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.common_scale import MASS_ERROR, load_cause
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.identification.robot_options import RobotOptions
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
 
-# Share by which a model file's total mass may err, and standard deviations of the total mass as
-# identified that chance explains.
-PLAUSIBLE_ERROR, CHANCE = 0.25, 3.0
+# Standard deviations of the total mass as identified that chance explains.
+CHANCE = 3.0
 
 
 def with_robot_options(robot: RobotModel, options: RobotOptions) -> RobotModel:
@@ -27,14 +27,14 @@ def with_robot_options(robot: RobotModel, options: RobotOptions) -> RobotModel:
     return with_contacts(with_wrist_sensors(robot, options.wrist_sensors), options.contacts)
 
 
-def contact_alarms(
+def total_mass_alarms(
     model: RobotModel, before: FloatArray, after: FloatArray, std: float
 ) -> tuple[str, ...]:
-    """Return an alarm if the total mass of a robot with unmeasured contacts is implausible.
+    """Return an alarm if the total mass of a robot with a floating base is implausible.
 
-    Without wrench sensors nothing else reveals a contact that was not named, a flag that says
-    "lifted" while the foot carries weight, or a common factor of all efforts. The efforts then
-    imply another mass.
+    With wrench sensors nothing else reveals a support that carries a part of the weight, as the
+    links adapt to it. Without them nothing else reveals a contact that was not named, a flag that
+    says "lifted" while the foot carries weight, or a common factor of all efforts.
 
     Parameters
     ----------
@@ -44,14 +44,19 @@ def contact_alarms(
     std : float
         Standard deviation of the total mass, kg.
     """
-    if model.contacts is None or not model.floating:
+    if not model.floating:
         return ()
-    change = abs(after.sum() - before.sum())
-    if change <= max(PLAUSIBLE_ERROR * before.sum(), CHANCE * std):
+    change = float(after.sum() - before.sum())
+    if abs(change) <= max(MASS_ERROR * before.sum(), CHANCE * std):
         return ()
-    return (
+    start = (
         f"{Alarm.TOTAL_MASS} {before.sum():.3g} kg in the model file to {after.sum():.3g} "
-        "kg: weigh the robot, and give `total_mass`; if it weighs what the file says, all efforts "
-        "have a wrong scale in common, which no residual shows, some have a wrong sign or unit, a "
-        "contact is missing in `contact`, or a flag is wrong (`contact_flag`)",
+        "kg: weigh the robot, and give `total_mass`; if it weighs what the file says,"
     )
+    if model.contacts is not None:
+        return (
+            f"{start} all efforts have a wrong scale in common, which no residual shows, some have "
+            "a wrong sign or unit, a contact is missing in `contact`, or a flag is wrong "
+            "(`contact_flag`)",
+        )
+    return (f"{start} {load_cause(change)}",)

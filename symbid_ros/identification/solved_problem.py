@@ -27,7 +27,7 @@ from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, 
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
 from symbid_ros.estimation.unexplained import UnexplainedForce, unexplained_forces
 from symbid_ros.estimation.verdict import assess
-from symbid_ros.identification.contacts import contact_alarms
+from symbid_ros.identification.contacts import total_mass_alarms
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.rows.window_comparison import (
@@ -165,7 +165,7 @@ class SolvedProblem:
         masses = slice(0, self.problem.parameters.inertial, 10)
         before, after = self.problem.prior.mean[masses], value[masses]
         std = float(np.linalg.norm(self.posterior.deviation_factor[masses].sum(axis=0)))
-        return contact_alarms(self.problem.parameters.model, before, after, std)
+        return total_mass_alarms(self.problem.parameters.model, before, after, std)
 
     def _heavy_link_alarms(self, value: FloatArray) -> tuple[str, ...]:
         """Return the alarm about links that weigh far more than the prior allows.

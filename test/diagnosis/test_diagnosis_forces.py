@@ -46,6 +46,7 @@ class Robot:
     driven: int = 4
     std: float = STD
     carried: float = 500.0
+    carried_share: float = 1.0
     density: float = 500.0
     suspect: tuple = ("", 0.0)
 
@@ -64,6 +65,7 @@ class Robot:
             model=SimpleNamespace(floating=self.floating, gravity=np.array([0.0, 0.0, -10.0])),
             weight=500.0,
             carried=self.carried,
+            carried_share=self.carried_share,
             scale_evidence=ScaleEvidence(self.density),
             effort_limits={},
             wrench_noise=(0.0, 0.0),
@@ -164,6 +166,42 @@ def test_wrenches_that_weigh_another_robot_doubt_its_masses(carried, density, ti
     assert says in finding.message
     assert ("record the wrench" in finding.message) == (times is None)
     assert finding.figures.get("masses_times") == (None if times is None else pytest.approx(times))
+
+
+@pytest.mark.parametrize(
+    ("share", "says"),
+    [
+        (0.74, "carry 37 kg, 0.74 times the 50 kg of the model: weigh the robot"),
+        (0.74, "a support without a sensor, such as a crane"),
+        (0.76, None),
+        (1.24, None),
+        (1.26, "carry 63 kg, 1.26 times the 50 kg of the model"),
+        (1.26, "it carried a payload"),
+    ],
+)
+def test_wrenches_that_carry_another_mass_alone_are_named(share, says):
+    """Gains alike that differ from one are no fault of a sensor."""
+    verdict = Robot(left=abs(1 - share), carried_share=share).verdict()
+    if says is None:
+        assert not verdict.findings
+        return
+    (finding,) = verdict.findings
+    assert (finding.kind, finding.severity) == (Kind.WEIGHT, Severity.WARNING)
+    assert says in finding.message
+    assert finding.figures == {"carried_share": share}
+    assert verdict.figures["weight_carried"] == share
+
+
+def test_the_fault_of_a_sensor_explains_what_the_wrenches_carry():
+    robot = Robot([0.5 * IDENTITY, IDENTITY], carried_share=0.7)
+    assert robot.kinds == [(Kind.WRENCH_GAIN, "/left")]
+
+
+@pytest.mark.parametrize("carried", [300.0, 400.0])
+def test_a_crane_may_explain_weight_that_is_missing(carried):
+    (finding,) = Robot([ODD, IDENTITY], left=0.9, carried=carried).verdict().findings
+    assert f"they carry {carried / 10:.0f} kg of 50 kg" in finding.message
+    assert ("such as a crane" in finding.message) == (carried == 300.0)
 
 
 @pytest.mark.parametrize("unit", [KGF, 1e-3])

@@ -36,9 +36,12 @@ def model(tmp_path_factory):
 @pytest.fixture(scope="module")
 def log(model):
     """What the real robot says, whose inertias are not the model's."""
+    return standing_log(real_robot(model), 8.0, 3)
+
+
+def real_robot(model):
     parameters = ParameterSet(model)
-    real = parameters.link_phi(draw_prior(parameters, "consistent", 20, 3).mean)
-    return standing_log(model.with_phi(real), 8.0, 3)
+    return model.with_phi(parameters.link_phi(draw_prior(parameters, "consistent", 20, 3).mean))
 
 
 @pytest.fixture
@@ -55,6 +58,20 @@ def judged(log, model, tmp_path) -> Callable[..., Diagnosis]:
 
 def found(diagnosis: Diagnosis) -> list[tuple[Kind, str]]:
     return [(one.kind, one.stream) for one in diagnosis.findings]
+
+
+@pytest.mark.parametrize(("factor", "is_found"), [(0.6, True), (0.85, False), (1.5, True)])
+def test_forces_that_all_carry_another_mass_are_named(judged, model, factor, is_found) -> None:
+    def spoil(spoilt: dict) -> None:
+        spoilt[JOINTS]["effort"] *= factor
+        for foot in FEET:
+            spoilt[f"/{foot}/wrench"]["wrench"] *= factor
+
+    diagnosis = judged(spoil)
+    real, stated = (float(one.phi[:, 0].sum()) for one in (real_robot(model), model))
+    carried = factor * real / stated
+    assert diagnosis.figures["weight_carried"] == pytest.approx(carried, rel=2e-3)
+    assert found(diagnosis) == [(Kind.WEIGHT, "")] * is_found
 
 
 def test_nothing_is_found_though_drives_rub(judged) -> None:

@@ -300,9 +300,11 @@ def test_a_weighing_that_contradicts_the_data_is_the_cause_of_the_other_alarms(q
     assert "what contradicts the weighing in another alarm" in second
 
 
-def test_a_support_without_a_sensor_is_a_likely_cause(quadruped, standing):
-    """Its force is constant in the world, at the middle of the feet, which it relieves equally."""
-    lift = 60.0  # N
+def relieved(quadruped, standing, lift):
+    """Return what a support changes in efforts and wrenches.
+
+    Its force, N, is constant in the world, at the middle of the feet, which it relieves equally.
+    """
     position = standing["/joint_states"]["position"]
     poses = link_poses(quadruped, position)
     jacobian = contact_jacobian(quadruped, FEET, poses).reshape(len(position), len(FEET), 6, -1)
@@ -315,10 +317,39 @@ def test_a_support_without_a_sensor_is_a_likely_cause(quadruped, standing):
         relief = lift / len(FEET) * np.einsum("nji,nj->ni", rotation, above)
         effort += np.einsum("nij,ni->nj", jacobian[:, index, 3:, 6:], relief)
         wrenches.append(np.hstack([-relief, np.zeros_like(relief)]))
-    (alarm,) = identify_standing(quadruped, standing, effort=effort, wrenches=wrenches)
+    return {"effort": effort, "wrenches": wrenches}
+
+
+def test_a_support_without_a_sensor_is_a_likely_cause(quadruped, standing):
+    lift = 60.0
+    (alarm,) = identify_standing(quadruped, standing, **relieved(quadruped, standing, lift))
     found = re.search(r"a support without a sensor, such as a cable, of some (\S+) N", alarm)
     assert found is not None, alarm
     assert float(found[1]) == pytest.approx(lift, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("share", "cause"),
+    [(0.4, "a support without a sensor, such as a crane"), (-0.4, "it carried a payload, which")],
+)
+def test_feet_that_carry_another_mass_than_the_file_s_raise_an_alarm(
+    quadruped, standing, share, cause
+):
+    """Each link may be off by a quarter, so that the links adapt to the missing weight."""
+    mass = float(quadruped.phi[:, 0].sum())
+    changed = relieved(quadruped, standing, share * mass * 9.81)
+    alarm, *others = identify_standing(quadruped, standing, **changed)
+    found = re.search(r"the total mass went from (\S+) kg in the model file to (\S+) kg", alarm)
+    assert found is not None, alarm
+    assert float(found[1]) == pytest.approx(mass, rel=5e-3)
+    assert float(found[2]) == pytest.approx((1 - share) * mass, rel=0.03)
+    assert cause in alarm
+    assert all("the residuals are not white noise" in one for one in others)
+    # With a weighing it is that which contradicts the data.
+    weighed = {"total_mass": mass, "total_mass_std": 0.01}
+    alarms = identify_standing(quadruped, standing, **changed, **weighed)
+    assert any("the weighing of" in one for one in alarms)
+    assert not any("the total mass went from" in one for one in alarms)
 
 
 @pytest.mark.parametrize("seconds", [40.0, 80.0])
