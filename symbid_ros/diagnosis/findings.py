@@ -58,6 +58,7 @@ class Kind(Enum):
     LAYOUT = "layout"
     UNREADABLE = "unreadable"
     # Against the model.
+    IMPOSSIBLE_LINK = "impossible_link"
     WEIGHT = "weight"
     MISSING_WRENCH = "missing_wrench"
     CONTRADICTION = "contradiction"

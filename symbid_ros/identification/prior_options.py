@@ -17,6 +17,7 @@ from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.stored_information import columns_of
 from symbid_ros.model.coupling import Coupling
+from symbid_ros.model.impossible_links import describe_impossible_links
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.ripple import Ripple
@@ -80,6 +81,8 @@ def _link_side(robot: RobotModel, sides: Mapping[str, str]) -> tuple[int, ...]:
 def choose_prior(options: IdentifyOptions, parameters: ParameterSet) -> Prior:
     """Return the prior that the options name.
 
+    A warning names links of the model file, if it is the prior, that no body can be.
+
     Raises
     ------
     PriorError
@@ -89,6 +92,8 @@ def choose_prior(options: IdentifyOptions, parameters: ParameterSet) -> Prior:
     """
     if options.prior is not None:
         return load_prior(options.prior, parameters)
+    if impossible := describe_impossible_links(parameters.model):
+        logger.warning("%s", impossible)
     if options.prior_absolute is not None:
         return absolute_model_prior(parameters, options.prior_absolute)
     parameters.model.require_mass()

@@ -21,6 +21,8 @@ TINY_MASS = 1e-9
 _LEAST_SECOND_MOMENT = 1e-14
 # Laminas and rods lie on the boundary of physical consistency, which rounding may cross.
 _BOUNDARY = 1e-12
+# Share of a body's second moments that rounding may make negative.
+_ROUNDING = 1e-9
 
 
 def inertia_matrix(phi: FloatArray) -> FloatArray:
@@ -121,17 +123,17 @@ def phi_from_pseudo_inertia(matrix: FloatArray) -> FloatArray:
 def is_consistent(phi: FloatArray) -> bool:
     """Return whether some mass density realises φ (10,); all zeros are consistent.
 
-    The tolerance for rounding of a degenerate body (a rod, a point mass) is 1e-9 of the
-    pseudo-inertia with lengths in units of the body's size.
+    The tolerance for rounding of a degenerate body (a plate, a rod, a point mass) is ``_ROUNDING``
+    of the pseudo-inertia with lengths in units of the body's size.
     """
     if not np.any(phi):
         return True
     matrix = pseudo_inertia(phi)
     diagonal = np.diag(matrix)
-    if phi[0] <= 0 or np.any(diagonal < 0):
+    if phi[0] <= 0 or np.any(diagonal[:3] < -_ROUNDING * diagonal[:3].max()):
         return False
     scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    return bool(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0] > -1e-9)
+    return bool(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0] > -_ROUNDING)
 
 
 def nearest_consistent(phi: FloatArray) -> FloatArray:
