@@ -51,6 +51,7 @@ class Kind(Enum):
     UNSIGNED_EFFORT = "unsigned_effort"
     EFFORT_NOISE = "effort_noise"
     FOLLOWER_EFFORT = "follower_effort"
+    FOLLOWER_POSITION = "follower_position"
     MISSING_JOINT = "missing_joint"
     UNKNOWN_JOINT = "unknown_joint"
     REORDERED_JOINTS = "reordered_joints"

@@ -290,7 +290,6 @@ class JointCheck:
         driven = [i for i in driven if self._has_effort[i] and i not in stuck]
         found += self._unsigned_findings(driven)
         found += self._noise_findings(driven)
-        found += self._follower_findings(model)
         incomplete = [i for i in driven if self._without_effort[i]]
         return found + list(self._absent("effort", incomplete, Severity.WARNING))
 
@@ -334,29 +333,6 @@ class JointCheck:
             {f"{self.names[i]}/signal_to_noise": float(ratio[i]) for i in places},
             Severity.WARNING,
         )
-
-    def _follower_findings(self, model: RobotModel | None) -> Iterator[Finding]:
-        """Yield a finding for each joint that follows another one and has an effort.
-
-        Alignment leaves these efforts out, because many drivers repeat the leader's.
-        """
-        if model is None:
-            return
-        for joint, mimic in model.followers.items():
-            name, leader = model.joint_names[joint], model.joint_names[mimic.leader]
-            if name not in self.names or not self._has_effort[self.names.index(name)]:
-                continue
-            times = "" if mimic.multiplier == 1.0 else f" times {mimic.multiplier:.4g}"
-            yield Finding.of(
-                self.topic,
-                Kind.FOLLOWER_EFFORT,
-                f"the effort of {name} is not used, because the joint follows {leader}, whose "
-                "effort must move both; if each has a motor, publish the effort of "
-                f"{leader} plus that of {name}{times} as the effort of {leader}; if {name} only "
-                f"repeats the effort of {leader}, nothing is wrong",
-                {"multiplier": mimic.multiplier},
-                Severity.WARNING,
-            )
 
     def _absent(self, kind: str, places: list[int], severity: Severity) -> Iterator[Finding]:
         """Yield a finding about joints whose positions or efforts some messages lack."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from symbid_ros.diagnosis.base_motion import BaseMotionCheck
 from symbid_ros.diagnosis.effort_findings import NO_CONVERSIONS, SignConversions
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity
+from symbid_ros.diagnosis.followers import FollowerCheck
 from symbid_ros.diagnosis.imu_checks import ImuCheck, QuaternionCheck
 from symbid_ros.diagnosis.jitter import JitterCheck
 from symbid_ros.diagnosis.joint_checks import JointCheck
@@ -57,6 +58,7 @@ class StreamChecks:
     _imu_checks: dict[str, ImuCheck] = field(default_factory=dict)
     _base_checks: dict[str, BaseMotionCheck] = field(default_factory=dict)
     _joint_check: JointCheck | None = None
+    _follower_check: FollowerCheck | None = None
     _jitter_checks: dict[str, JitterCheck] = field(default_factory=dict)
     _freeze_detector: FreezeDetector = field(default_factory=FreezeDetector)
     _saturation_detector: SaturationDetector = field(default_factory=SaturationDetector)
@@ -89,6 +91,10 @@ class StreamChecks:
                 streams.joints.topic, streams.joints.names, streams.is_arrays
             )
         self._joint_check.add(streams.joints, during)
+        if self.model is not None and self._follower_check is None:
+            self._follower_check = FollowerCheck(streams.joints.topic, self.model)
+        if self._follower_check is not None:
+            self._follower_check.add(streams.joints, during)
         topic = streams.joints.topic
         self._jitter_checks.setdefault(topic, JitterCheck(topic)).add(streams.joints, during)
         self._freeze_detector.add(streams, during)
@@ -126,6 +132,7 @@ class StreamChecks:
             *(one for each in self._quaternion_checks.values() for one in each.findings()),
             *(one for each in self._base_checks.values() for one in each.findings()),
             *self.unit_findings(),
+            *(self._follower_check.findings() if self._follower_check else ()),
             *self.named,
         ]
 

@@ -8,7 +8,6 @@ from random_robots import random_robot
 
 from symbid_ros.diagnosis.findings import Kind, Severity
 from symbid_ros.diagnosis.joint_checks import DEGREES, JointCheck
-from symbid_ros.model.tree import Mimic
 from symbid_ros.signals.streams import JointStream
 
 NAMES = ("hip", "knee", "foot")
@@ -350,22 +349,6 @@ def test_joints_without_effort_are_named_by_what_they_report():
     fixed = replace(robot(lower=-np.inf, efforts=(0.5, 0.5, 0.0)), floating=False)
     (none,) = findings(joints, fixed)
     assert none.severity is Severity.UNUSABLE
-
-
-def test_the_effort_of_a_joint_that_follows_another_one_is_reported():
-    model = robot(lower=-np.inf)
-    *others, last = model.joints
-    model = replace(model, joints=(*others, replace(last, mimic=Mimic(1, -2.0, 0.1), effort=0.0)))
-    joints = swinging()
-    (found,) = findings(joints, model)
-    assert (found.kind, found.severity) == (Kind.FOLLOWER_EFFORT, Severity.WARNING)
-    assert "publish the effort of knee plus that of foot times -2 as" in found.message
-    # The same sum follows from virtual work.
-    force = np.array([[*np.zeros(6), 1.0, 10.0, 100.0]])
-    model.fold_followers(force)
-    assert force[0, 7] == 10.0 - 2.0 * 100.0
-    joints.effort[:, 2] = 0.0
-    assert findings(joints, model) == []
 
 
 @pytest.mark.parametrize(
