@@ -24,6 +24,8 @@ NEGLIGIBLE = 0.1
 BETTER = 0.8
 # Up to this ratio, a body explains the efforts as well as factors do.
 AS_WELL = 1.1
+# Figure of a finding of wrong factors: the mass of such a body, kg.
+EXPLAINED_AS_WELL = "or_body_kg"
 
 
 def with_missing_body(
@@ -66,7 +68,8 @@ def with_missing_body(
     if ratio >= BETTER:
         last = findings[-1]
         message = f"{last.message}; {body} as well: if there is a tool, add it to the model instead"
-        return (*findings[:-1], replace(last, message=message))
+        figures = {**last.figures, EXPLAINED_AS_WELL: mass}
+        return (*findings[:-1], replace(last, message=message, figures=figures))
     topic = findings[0].stream
     text = (
         f"{topic}: {body}, of which those of {', '.join(joints)} seem to have wrong factors "

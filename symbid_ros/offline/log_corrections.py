@@ -24,6 +24,7 @@ from symbid_ros.diagnosis.effort_findings import GAINS, within_limit
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, has_unsigned_efforts
 from symbid_ros.diagnosis.forces import EXPLAINED
 from symbid_ros.diagnosis.joint_checks import DEGREES
+from symbid_ros.diagnosis.missing_body import EXPLAINED_AS_WELL
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.errors import SymbidError
@@ -295,10 +296,13 @@ class LogCorrections:
             The other driven joints.
         figures : mapping of str to float
             Of the diagnosis and its findings: RMS efforts as ``<joint>/effort_rms``, those over the
-            limits of the model relative to these as ``<joint>/times_limit``, and ``masses_times``
-            if the masses of the model may be wrong.
+            limits of the model relative to these as ``<joint>/times_limit``, ``masses_times`` if
+            the masses of the model may be wrong, and ``EXPLAINED_AS_WELL`` if a body is missing.
         """
         scaled = {name: one for name, one in factors.items() if not GAINS[0] < one < GAINS[1]}
+        if scaled and EXPLAINED_AS_WELL in figures:
+            self._doubt_factors(scaled, figures[EXPLAINED_AS_WELL])
+            return
         driven = [name for name in self.robot.joint_names if name in factors or name in unknown]
         # No joint has the unit of the model, so those without a visible load have not either.
         are_all = bool(scaled) and len(scaled) == len(factors)
@@ -325,6 +329,12 @@ class LogCorrections:
                 if joint.name in unknown:
                     rms = figures.get(f"{joint.name}/effort_rms", 0.0)
                     scaled[joint.name] = within_limit(usual, rms, joint.effort)
+            if unknown:
+                self.setup.note(
+                    "effort_scale",
+                    f"CHECK: no load shows the factors of {', '.join(unknown)}, so these are "
+                    "those of the other joints, or less where the model's effort limit says so.",
+                )
             unknown = ()
         self._scale(scaled)
         self._scale({name: MILLI for name in in_milli if name in unknown}, MILLI)
@@ -340,6 +350,16 @@ class LogCorrections:
             f"CHECK: efforts of {', '.join(factors)} read {reads:.3g} times what the model "
             f"implies. No factor is written: it is more likely that {cause}. Correct the model "
             "file, or give the factors if the efforts are not in Nm (N).",
+        )
+
+    def _doubt_factors(self, factors: Mapping[str, float], mass: float) -> None:
+        """Say that the log does not tell wrong factors from a body that the model lacks."""
+        each = ", ".join(f"{name}:={one:.3g}" for name, one in factors.items())
+        self.setup.note(
+            "effort_scale",
+            f"CHECK: {each} would explain the efforts, and so would a body of about {mass:.2g} kg "
+            "that the model lacks. No factor is written: add the body to the model file, or write "
+            "these factors here and the joints into drive_gain.",
         )
 
     def _rotate(self, frame: str, angles: Sequence[float]) -> None:
@@ -383,8 +403,7 @@ class LogCorrections:
         self.setup.options["drive_gain"] = list(dict.fromkeys([*drives, *factors]))
         self.setup.note(
             "effort_scale",
-            "CHECK: found from the model's inertias, or from other joints if no load shows it; "
-            "better give gear ratio times torque constant.",
+            "CHECK: found from the model's inertias; better give gear ratio times torque constant.",
         )
 
 

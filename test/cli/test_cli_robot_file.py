@@ -11,6 +11,7 @@ import yaml
 from arm_log import arm_streams, without_load
 from bag_editing import Messages, edit_bag
 from documented_robots import ur5_urdf
+from drive_logs import drives, light_wrist, log_of
 from foreign_bags import joint_state, joints_only
 from hypothesis import given
 from hypothesis import strategies as st
@@ -186,6 +187,10 @@ def test_drives_without_a_visible_load_have_the_unit_of_the_others(tmp_path, fac
     arm = load_model(ur5_urdf(), "fixed")
     setup = setup_with_efforts(tmp_path, arm, factor, friction=0.08, resting=arm.joint_names[4:])
     assert setup.options["drive_gain"] == list(arm.joint_names)
+    assert any(
+        "no load shows the factors of" in line and arm.joint_names[-1] in line
+        for line in setup.comments["effort_scale"]
+    )
     found = {name: float(one) for name, one in entries(setup.options["effort_scale"]).items()}
     assert list(found.values())[1:3] == pytest.approx([1 / factor] * 2, rel=0.3)
 
@@ -223,6 +228,24 @@ def test_a_load_that_the_model_lacks_is_no_unit(tmp_path) -> None:
     said = [line for lines in setup.comments.values() for line in lines]
     assert any("add the tool or payload to the model" in line for line in said)
     assert Kind.MISSING_BODY in {one.kind for one in setup.diagnosis.findings}
+
+
+def test_factors_that_a_missing_body_explains_as_well_are_comments_only(tmp_path) -> None:
+    """A light tool multiplies the load of a light wrist, as a factor of its effort would."""
+    robot, model = light_wrist(4)
+    phi = robot.phi.copy()
+    phi[-1] += phi_from_com(0.2, np.array([0.1, 0.0, 0.0]), np.zeros((3, 3)))
+    log = log_of(robot, drives(robot.with_phi(phi), viscous=0.02, coulomb=0.05))
+    read = log.streams().joints
+    columns = zip(read.stamp, read.position, read.velocity, read.effort, strict=True)
+    messages = [joint_state(int(stamp), robot.joint_names, *one) for stamp, *one in columns]
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(urdf_text(model))
+    setup = inspect_robot(urdf, [joints_only(tmp_path / "bag", *messages)], "fixed")
+    assert not {"effort_scale", "drive_gain"} & set(setup.options)
+    (line,) = (one for one in setup.comments["effort_scale"] if "so would a body of about" in one)
+    assert line.startswith(f"CHECK: {robot.joint_names[-1]}:=")
+    assert setup.has_open_question
 
 
 def test_one_joint_does_not_tell_the_unit_of_all_others(tmp_path) -> None:

@@ -9,6 +9,7 @@ from random_robots import random_robot
 import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
+from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.parameters import ParameterSet
 
 RATE, SECONDS = 200.0, 24.0
@@ -29,6 +30,14 @@ def heavy_arm(seed=2, tilt=4e-9):
     robot = robot.with_phi(1e3 * robot.phi)
     joints = tuple(replace(one, effort=np.inf) for one in robot.joints)
     return replace(robot, joints=joints, gravity=-9.81 * (axis + tilt * across))
+
+
+def light_wrist(seed):
+    """Return an arm whose last link is light, and a model of it with errors of 20 %."""
+    robot = arm(seed=seed, links=6)
+    robot = replace(robot, joints=tuple(replace(one, effort=np.inf) for one in robot.joints))
+    links = ParameterSet(robot.with_phi(robot.phi * np.array([1.0] * 5 + [0.02])[:, None]))
+    return links.model, links.apply(draw_prior(links, "consistent", 20.0, seed=3).mean)
 
 
 def drives(robot, **terms):
