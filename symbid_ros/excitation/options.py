@@ -113,9 +113,11 @@ class ExciteOptions(MountingOptions):
     )
     feet: tuple[str, ...] = option(
         (),
-        "Frames on which a robot with a floating base stands, comma-separated: FRAME for a flat "
-        "sole, FRAME:point for a point. A foot that is a ball in the model rolls; FRAME:RADIUS "
-        "gives another radius, m. The base moves, and the feet stay in place.",
+        "Frames on which a robot with a floating base stands, comma-separated. FRAME is a flat "
+        "sole. FRAME:point transmits a force alone, at the lowest point of the ball that the model "
+        "has around the frame's origin, which rolls, or at the origin if there is none. "
+        "FRAME:RADIUS gives the radius of that ball, m; with FRAME:0 the force acts at the origin. "
+        "The base moves, and the feet stay in place.",
         unset="the base is fixed",
         group=STANDING,
     )

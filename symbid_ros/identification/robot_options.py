@@ -32,8 +32,10 @@ class RobotOptions(MountingOptions):
     contact: tuple[str, ...] = option(
         (),
         "Frames at which something touches the robot without a wrench sensor, comma-separated. "
-        "Write FRAME:point if the contact transmits no moment. A foot that is a ball in the model "
-        "touches the ground at its lowest point; FRAME:RADIUS gives another radius, m. The unknown "
+        "FRAME transmits force and moment, as a flat foot does. FRAME:point transmits a force "
+        "alone, as the feet of most quadrupeds do. It acts at the lowest point of the ball that "
+        "the model has around the frame's origin, or at the origin if there is none. FRAME:RADIUS "
+        "gives the radius of that ball, m; with FRAME:0 the force acts at the origin. The unknown "
         "wrenches are eliminated from the equations.",
         group=GROUP,
     )
@@ -70,7 +72,7 @@ class RobotOptions(MountingOptions):
 
     @cached_property
     def contacts(self) -> tuple[str, ...]:
-        """The frames of contacts without a sensor, as FRAME or FRAME:point."""
+        """The contacts without a sensor, as FRAME, FRAME:point or FRAME:RADIUS."""
         return tuple(names(self.contact))
 
     @cached_property

@@ -43,8 +43,8 @@ class ParameterSet:
         Terms that a drive adds to its joint's row: viscous q̇, Coulomb sign(q̇), armature q̈
         (the reflected inertia of rotor and gear), a constant offset, Stribeck friction
         sign(q̇) exp(-|q̇|/v), Coulomb friction in proportion to the load, sign(q̇) |τ|, the lag of
-        friction after a reversal (presliding), the stiffness of a spring, q - q₀, and how friction
-        leads before a reversal. They are sorted in this order.
+        friction after a reversal (presliding), the stiffness of a spring, q - q₀, and friction that
+        changes its sign before the velocity does (lead). They are sorted in this order.
     candidates : bool
         Whether the terms are candidates, of which the data choose some for each joint.
     couplings : tuple of Coupling

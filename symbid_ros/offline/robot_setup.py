@@ -260,7 +260,9 @@ class _TopicMatcher:
         if contacts:
             self.setup.options["contact"] = list(contacts)
             self.setup.note(
-                "contact", "CHECK: feet without a moment end in :point, balls in their radius."
+                "contact",
+                "CHECK: FRAME is a flat foot. FRAME:point or FRAME:RADIUS transmits a force alone, "
+                "at the lowest point of the model's ball or of one with that radius in m.",
             )
             self.setup.note("contact", "A robot whose base is clamped needs base: fixed instead.")
         else:
