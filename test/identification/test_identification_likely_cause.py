@@ -272,8 +272,12 @@ def standing(quadruped):
     return standing_log(quadruped, 12.0, 3, friction=0.0)
 
 
-def identify_standing(quadruped, standing, *, effort=0.0, wrenches=None, **options):
+def identify_standing(quadruped, standing, **changed):
     """Return the alarms of a log to whose efforts and wrenches something is added."""
+    return identified_standing(quadruped, standing, **changed).alarms
+
+
+def identified_standing(quadruped, standing, *, effort=0.0, wrenches=None, **options):
     joints, imu = standing["/joint_states"], standing["/imu"]
     log = sy.Log.from_arrays(
         quadruped,
@@ -287,7 +291,7 @@ def identify_standing(quadruped, standing, *, effort=0.0, wrenches=None, **optio
         },
     )
     fixed = {"no_holdout": True, "unchecked": True, "joint_terms": ("none",)}
-    return sy.identify(quadruped, log, **fixed | options).alarms
+    return sy.identify(quadruped, log, **fixed | options)
 
 
 def test_a_weighing_that_contradicts_the_data_is_the_cause_of_the_other_alarms(quadruped, standing):
@@ -350,6 +354,36 @@ def test_feet_that_carry_another_mass_than_the_file_s_raise_an_alarm(
     alarms = identify_standing(quadruped, standing, **changed, **weighed)
     assert any("the weighing of" in one for one in alarms)
     assert not any("the total mass went from" in one for one in alarms)
+
+
+def hanging(quadruped, standing, lift, frame):
+    """Return what a vertical force, N, at a frame of the base changes in efforts and wrenches.
+
+    The forces of the feet change so that the base is in balance, and the efforts so that the legs
+    are.
+    """
+    position = standing["/joint_states"]["position"]
+    count, poses = len(position), link_poses(quadruped, position)
+    jacobian = contact_jacobian(quadruped, FEET, poses).reshape(count, len(FEET), 6, -1)[:, :, 3:]
+    above = Rotation.from_quat(standing["/imu"]["orientation"]).inv().apply([0.0, 0.0, 1.0])
+    mount = quadruped.frame("imu_link").rotation.T @ quadruped.frame(frame).rotation
+    rope = contact_jacobian(quadruped, (frame,), poses).reshape(count, 6, -1)[:, 3:]
+    rope = lift * np.einsum("nij,ni->nj", rope, above @ mount)
+    on_base = jacobian[..., :6].reshape(count, -1, 6).transpose(0, 2, 1)
+    relief = (np.linalg.pinv(on_base) @ rope[:, :6, None]).reshape(count, len(FEET), 3)
+    effort = np.einsum("nfij,nfi->nj", jacobian[..., 6:], relief) - rope[:, 6:]
+    wrenches = [np.hstack([-one, np.zeros_like(one)]) for one in relief.transpose(1, 0, 2)]
+    return {"effort": effort, "wrenches": wrenches}
+
+
+def test_a_crane_that_is_named_as_a_contact_leaves_the_mass_right(quadruped, standing):
+    mass = float(quadruped.phi[:, 0].sum())
+    changed = hanging(quadruped, standing, 0.4 * mass * 9.81, "imu_link")
+    (alarm,) = identify_standing(quadruped, standing, **changed)
+    assert "name the frame that it holds in `contact` (FRAME:point for a rope)" in alarm
+    found = identified_standing(quadruped, standing, **changed, contact=("imu_link:point",))
+    assert not found.alarms
+    assert sum(one.mass for one in found.links.values()) == pytest.approx(mass, rel=0.01)
 
 
 @pytest.mark.parametrize("seconds", [40.0, 80.0])
