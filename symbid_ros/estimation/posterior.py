@@ -352,14 +352,6 @@ class _Square:
             x, R = V @ (V.T @ target / least), np.sqrt(least)[:, None] * V.T
         return scale * x, R / scale
 
-    @property
-    def _subtracts_all_noise(self) -> bool:
-        """Whether the whole noise can be subtracted from the information in every direction."""
-        total, one = self.G + np.eye(len(self.g)), np.eye(len(self.g))
-        return _is_definite(MAX_NOISE_SHARE * total - self.T) and _is_definite(
-            total - self.T - (1 - NEGLIGIBLE_EXCESS) * one
-        )
-
     def unseen(self, scale: FloatArray) -> FloatArray | None:
         """Return N (p, p): directions with little information add the covariance N Nᵀ.
 
@@ -386,13 +378,10 @@ class _Square:
         subtracted here too.
         """
         ones = np.ones(len(self.g))
+        x, R = self._from_moments(ones) or self.minimum(ones)
         # The gradient RᵀR x of the rows at the prior's mean is H x₀ plus noise of covariance G,
         # where H is G without the regressor's noise.
-        if self._subtracts_all_noise:
-            H, gradient = self.G - self.T, self.g - self.t
-        else:
-            x, R = self._from_moments(ones) or self.minimum(ones)
-            H, gradient = R.T @ R - np.diag(ones), R.T @ (R @ x)
+        H, gradient = R.T @ R - np.diag(ones), R.T @ (R @ x)
         values, V = np.linalg.eigh(self.G)
         some = values > max(MIN_INFORMATION, MIN_RELATIVE_INFORMATION * values[-1])
         root = V[:, some] / np.sqrt(values[some])
@@ -408,15 +397,6 @@ class _Square:
         # Links have more parameters than any motion shows.
         told = SCALES[1] * values > np.sqrt(NO_INFORMATION)
         return PriorEvidence((values[:, None] * Vt)[told], np.clip(pull, -most, most)[told])
-
-
-def _is_definite(matrix: FloatArray) -> bool:
-    """Return whether a symmetric matrix (m, m) is positive definite."""
-    try:
-        cholesky(matrix)
-    except np.linalg.LinAlgError:
-        return False
-    return True
 
 
 def _principal(
