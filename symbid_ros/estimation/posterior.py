@@ -487,7 +487,8 @@ def posterior(
                 square = square.turned(axes)
         before = x
         x, factor = square.minimum(scale)
-        x, factor = axes @ x, factor @ axes.T
+        few = without_zeros(axes)
+        x, factor = few @ x, factor @ few.T
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
         is_rounding = 0.5 * last < change < ROUNDING
         if not coarse and (change < tolerance or is_rounding):
@@ -500,7 +501,7 @@ def posterior(
     turned = L @ axes
     chosen = prior.with_root(turned * scale) if len(kinds) > 1 else prior.widened(scale)
     unseen = square.unseen(scale)
-    precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)
+    precision = np.asarray(solve_triangular(L, factor.T, trans="T", lower=True).T, dtype=np.float64)
     return Posterior(
         mean=phi,
         factor=precision,
