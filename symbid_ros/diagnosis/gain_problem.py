@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import JOINT_TERMS
@@ -129,14 +129,22 @@ class GainProblem:
         """
         scale = np.append(self.std, std)
         mean, q = self.expected, len(scale)
-        rows = self.rows.whitened(np.sqrt(INFLATION * left))
-        square = stacked_factor(
-            np.column_stack([rows[:, :-1] * scale, rows[:, -1] - rows[:, :-1] @ mean]),
-            np.vstack([np.eye(q, q + 1), self._total_mass(q + 1) / mass_std]),
-        )
-        R = square[:q, :q]
+        weight, total = 1 / (INFLATION * left), self._total_mass(q) / mass_std
+        moment = self.rows.moment(weight)
+        precision = moment[:q, :q] * np.outer(scale, scale) + np.eye(q) + np.outer(total, total)
+        try:
+            R = cholesky(precision)
+        except np.linalg.LinAlgError:  # rounding exceeds the prior's information
+            rows = self.rows.whitened(np.sqrt(INFLATION * left))
+            R = stacked_factor(rows[:, :-1] * scale, np.eye(q), total[None])
+        x = np.zeros(q)
+        # The second step corrects the rounding of the moments (corrected seminormal equations:
+        # Björck 1987, Linear Algebra and its Applications 88/89).
+        for _ in range(2):
+            pull = scale * self.rows.pull(mean + scale * x, weight) - x - total * (total @ x)
+            x = x + cho_solve((R, False), pull)
         deviation: FloatArray = scale[:, None] * solve_triangular(R, np.eye(q))
-        return mean + scale * solve_triangular(R, square[:q, q]), deviation
+        return mean + scale * x, deviation
 
     @property
     def number_of_inertias(self) -> int:

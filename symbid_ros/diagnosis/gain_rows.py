@@ -29,9 +29,11 @@ from symbid_ros.dynamics.regressor import (
     Rows,
     averaged_equation_of_motion,
     equation_of_motion,
+    equation_residual,
     has_linear_rows,
 )
 from symbid_ros.dynamics.samples import Samples
+from symbid_ros.estimation.block_matrices import without_zeros
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -231,14 +233,16 @@ class GainLayout:
         period = readings.stamp // OFFSET_PERIOD
         starts = np.flatnonzero(np.diff(period, prepend=period[0] - 1))
         means = readings.averaged(starts)
+        # Rows of joints whose effort was not measured are not valid, but a NaN would spread.
+        means = replace(means, effort=np.nan_to_num(means.effort))
         count, repeats = len(means), len(self.measured) + 1
         shifted = means[np.tile(np.arange(count), repeats)]
         position = shifted.position.reshape(repeats, count, -1).copy()
         for index, joint in enumerate(self.measured):
             position[index + 1, :, joint] -= OFFSET_STEP
         shifted = replace(shifted, position=position.reshape(repeats * count, -1))
-        rows = equation_of_motion(parameters, at_base(shifted, model))
-        residual = np.nan_to_num(rows.y) - rows.K @ parameters.values
+        # Forces of one robot take a fraction of the time and memory of rows in all parameters.
+        residual = equation_residual(parameters, at_base(shifted, model), parameters.values)
         residual = residual.reshape(repeats, count, model.dof)
         at_means = (residual[1:] - residual[0]).transpose(1, 2, 0) / OFFSET_STEP
         if count == 1:
@@ -383,6 +387,7 @@ class CoordinateRows:
     samples: int = 0
     _columns: list[IntArray] = field(init=False)
     _factors: list[FloatArray] = field(init=False)
+    _moments: list[FloatArray] | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         """Allocate empty factors."""
@@ -392,6 +397,7 @@ class CoordinateRows:
 
     def fold(self, rows: Rows) -> None:
         """Add N rows of every coordinate."""
+        self._moments = None
         for index, columns in enumerate(self._columns):
             block = np.empty((len(rows.y), len(columns) + 1), order="F")
             block[:, :-1] = rows.K[:, index, columns]
@@ -408,10 +414,32 @@ class CoordinateRows:
             self.coordinates, self.units, self.structure @ (change != 0), self.samples
         )
         for index, (columns, own) in enumerate(zip(self._columns, self._factors, strict=True)):
-            new = own[:, :-1] @ change[np.ix_(columns, chosen._columns[index])]
+            new = own[:, :-1] @ without_zeros(change[np.ix_(columns, chosen._columns[index])])
             target = own[:, -1] if shift is None else own[:, -1] - own[:, :-1] @ shift[columns]
             chosen._factors[index] = np.column_stack([new, target])
         return chosen
+
+    def moment(self, weight: FloatArray) -> FloatArray:
+        """Return Σ [K y]ᵀ [K y] (q + 1, q + 1) of all rows with weights (n,).
+
+        It has half the digits of :meth:`whitened` and takes a small part of its time.
+        """
+        if self._moments is None:
+            self._moments = [factor.T @ factor for factor in self._factors]
+        q = self.structure.shape[1]
+        total = np.zeros((q + 1, q + 1))
+        for columns, moment, one in zip(self._columns, self._moments, weight, strict=True):
+            place = np.append(columns, q)
+            total[np.ix_(place, place)] += one * moment
+        return total
+
+    def pull(self, unknowns: FloatArray, weight: FloatArray) -> FloatArray:
+        """Return Σ Kᵀ (y - K x) (q,) of all rows with weights (n,), for x (q,), in all digits."""
+        total = np.zeros(self.structure.shape[1])
+        for columns, factor, one in zip(self._columns, self._factors, weight, strict=True):
+            left = factor[:, -1] - factor[:, :-1] @ unknowns[columns]
+            total[columns] += one * (factor[:, :-1].T @ left)
+        return total
 
     def whitened(self, deviation: FloatArray) -> FloatArray:
         """Return the triangular factor (q + 1, q + 1) of all rows divided by deviations (n,)."""

@@ -98,6 +98,7 @@ class ModelStatistics:
             CoordinateRows(model.coordinates, model.coordinate_units, structure),
             len(self.parameters.values) + self.gains.effort_delay,
         )
+        self._rows: CoordinateRows | None = None
         self.standing = tuple(
             StanceGyroMoments(model, index)
             for index in range(len(imu_frames) if model.floating else 0)
@@ -165,7 +166,9 @@ class ModelStatistics:
     @property
     def rows(self) -> CoordinateRows:
         """Accumulated rows in all unknowns."""
-        return self._lagged.unshifted
+        if self._rows is None or self._rows.samples != self._lagged.rows.samples:
+            self._rows = self._lagged.unshifted
+        return self._rows
 
     @property
     def problem(self) -> GainProblem:

@@ -167,6 +167,9 @@ class Estimate:
     gravity : (3,) tuple of float, or None
         Gravity in the axes of a fixed base, m/s²; None for a floating base, and in files of
         earlier releases.
+    held_joints : dict of str to float
+        Joints that count as rigid because the log lacks them, and their positions, rad (m). Links
+        beyond them are parts of the links that carry them.
     provenance : Provenance or None
         Checksums of the inputs, command, options, versions and date; None in files of earlier
         releases and for live estimates that are not saved.
@@ -202,6 +205,7 @@ class Estimate:
     contacts: tuple[str, ...] = ()
     force_only: tuple[str, ...] = ()
     gravity: tuple[float, ...] | None = None
+    held_joints: dict[str, float] = field(default_factory=dict)
     provenance: Provenance | None = None
 
     def parameters_of(self, model: RobotModel) -> ParameterSet:

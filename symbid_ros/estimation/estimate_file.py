@@ -66,6 +66,7 @@ def estimate_document(estimate: Estimate) -> dict[str, object]:
         "contacts": list(estimate.contacts),
         "force_only": list(estimate.force_only),
         "gravity": None if estimate.gravity is None else list(estimate.gravity),
+        "held_joints": estimate.held_joints,
         "provenance": _entry(estimate.provenance),
     }
     return versioned("estimate", document)
@@ -138,6 +139,7 @@ def load_estimate(path: Path) -> Estimate:
             contacts=tuple(map(str, document.get("contacts", ()))),
             force_only=tuple(map(str, document.get("force_only", ()))),
             gravity=_vector(document.get("gravity")),
+            held_joints=_numbers(document, "held_joints"),
             provenance=_provenance(document.get("provenance")),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:

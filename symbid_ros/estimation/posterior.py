@@ -13,13 +13,15 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.sparse import csr_array
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.block_matrices import independent_blocks, without_zeros
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.prior_scales import PriorEvidence
+from symbid_ros.estimation.prior_scales import SCALES, PriorEvidence
 
 REWHITENINGS = 20
 CONVERGED = 1e-9  # in posterior standard deviations
@@ -43,6 +45,8 @@ IDENTIFIED = 0.1
 # ten prior deviations only: its pull counts as this many deviations at most. A small effect that
 # the model lacks would claim alone that the prior is wrong a hundredfold.
 WEAK_INFORMATION, MOST_PULL = 1e-2, 6.0
+# Information about the prior that is rounding at any scale of it.
+NO_INFORMATION = 1e-12
 
 
 @dataclass(frozen=True)
@@ -151,6 +155,12 @@ class Posterior:
         return _added(parts)
 
     @cached_property
+    def parameter_covariance(self) -> FloatArray:
+        """Covariance (p, p) of all parameters."""
+        product: FloatArray = self.deviation_factor @ self.deviation_factor.T
+        return product
+
+    @cached_property
     def std(self) -> FloatArray:
         """Standard deviations (p,)."""
         std: FloatArray = np.sqrt(np.sum(self.deviation_factor**2, axis=1))
@@ -218,12 +228,13 @@ class _Square:
         observations: Observations,
         phi: FloatArray,
         mean: FloatArray,
-        L: FloatArray,
+        to_prior: FloatArray | csr_array,
         pseudo_measurements: "PseudoMeasurements | None",
         *,
         approximate: bool,
         correlation: FloatArray | None = None,
     ) -> "_Square":
+        """Return the square of rows [K y], which ``to_prior`` brings to prior deviations."""
         covariance = observations.residual_covariance(phi, mean)
         if correlation is not None:
             root = np.sqrt(correlation)
@@ -238,8 +249,6 @@ class _Square:
             ) from None
         whitening = np.asarray(np.linalg.inv(root), dtype=np.float64)
         precision = whitening.T @ whitening
-        # From [K y] to rows in prior deviations: [K y] to_prior = [K L, y - K mean].
-        to_prior = np.block([[L, -mean[:, None]], [np.zeros(len(mean)), 1.0]])
         rows, measured = None, np.zeros((0, len(mean) + 1))
         if pseudo_measurements is not None:
             measured = np.column_stack([pseudo_measurements.rows, pseudo_measurements.targets])
@@ -256,15 +265,15 @@ class _Square:
 
     def turned(self, axes: FloatArray) -> "_Square":
         """Return the square of the coordinates along orthonormal axes, the columns (p, p)."""
-        rows = self.rows
+        rows, few = self.rows, without_zeros(axes)
         if rows is not None:
-            rows = np.column_stack([rows[:, :-1] @ axes, rows[:, -1]])
+            rows = np.column_stack([rows[:, :-1] @ few, rows[:, -1]])
         return replace(
             self,
-            G=axes.T @ self.G @ axes,
-            g=axes.T @ self.g,
-            T=axes.T @ self.T @ axes,
-            t=axes.T @ self.t,
+            G=few.T @ self.G @ few,
+            g=few.T @ self.g,
+            T=few.T @ self.T @ few,
+            t=few.T @ self.t,
             rows=rows,
         )
 
@@ -385,15 +394,25 @@ class _Square:
         U, values, Vt = np.linalg.svd(left[:, :-1], full_matrices=False)
         pull = U.T @ left[:, -1]
         most = np.where(values**2 < WEAK_INFORMATION, MOST_PULL, np.inf)
-        return PriorEvidence(values[:, None] * Vt, np.clip(pull, -most, most))
+        # Links have more parameters than any motion shows.
+        told = SCALES[1] * values > np.sqrt(NO_INFORMATION)
+        return PriorEvidence((values[:, None] * Vt)[told], np.clip(pull, -most, most)[told])
 
 
-def _principal(kinds: Sequence[FloatArray], sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the axes (m, m) and deviations (m,) of errors of several kinds, of these sizes."""
+def _principal(
+    kinds: Sequence[FloatArray], sizes: FloatArray, blocks: Sequence[IntArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the axes (m, m) and deviations (m,) of errors of several kinds, of these sizes.
+
+    Errors are independent between the ``blocks``.
+    """
     if len(kinds) == 1:
         return np.eye(len(kinds[0])), np.full(len(kinds[0]), sizes[0])
-    wide = np.hstack([size * root for size, root in zip(sizes, kinds, strict=True)])
-    axes, deviations, _ = np.linalg.svd(wide, full_matrices=False)
+    axes, deviations = np.zeros_like(kinds[0]), np.zeros(len(kinds[0]))
+    for block in blocks:
+        place = np.ix_(block, block)
+        wide = np.hstack([size * root[place] for size, root in zip(sizes, kinds, strict=True)])
+        axes[place], deviations[block], _ = np.linalg.svd(wide, full_matrices=False)
     return axes, deviations
 
 
@@ -438,7 +457,10 @@ def posterior(
     count = len(mean) if count is None else count
     judged = prior.judged(count)
     kinds = prior.kinds_of_errors(judged) if empirical else []
+    blocks = independent_blocks(*kinds) if len(kinds) > 1 else []
     L, axes = prior.covariance_factor(), np.eye(len(mean))
+    # From [K y] to rows in prior deviations: [K y] to_prior = [K L, y - K mean].
+    to_prior = without_zeros(np.block([[L, -mean[:, None]], [np.zeros(len(mean)), 1.0]]))
     # As few residuals as these may be the prior's errors or noise, above all at rest: if all were
     # noise, the prior would seem exact.
     is_few = observations.rows.samples <= len(observations.rows.layout.coordinates)
@@ -451,7 +473,7 @@ def posterior(
             observations,
             mean + L @ x,
             mean,
-            L,
+            to_prior,
             pseudo_measurements,
             approximate=coarse,
             correlation=correlation,
@@ -460,12 +482,13 @@ def posterior(
             logs = square.evidence(judged).scales(kinds, logs)
             if is_few:
                 logs = np.maximum(logs, 0.0)
-            axes[np.ix_(judged, judged)], scale[judged] = _principal(kinds, np.exp(logs))
+            axes[np.ix_(judged, judged)], scale[judged] = _principal(kinds, np.exp(logs), blocks)
             if len(kinds) > 1:
                 square = square.turned(axes)
         before = x
         x, factor = square.minimum(scale)
-        x, factor = axes @ x, factor @ axes.T
+        few = without_zeros(axes)
+        x, factor = few @ x, factor @ few.T
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
         is_rounding = 0.5 * last < change < ROUNDING
         if not coarse and (change < tolerance or is_rounding):
@@ -478,7 +501,7 @@ def posterior(
     turned = L @ axes
     chosen = prior.with_root(turned * scale) if len(kinds) > 1 else prior.widened(scale)
     unseen = square.unseen(scale)
-    precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)
+    precision = np.asarray(solve_triangular(L, factor.T, trans="T", lower=True).T, dtype=np.float64)
     return Posterior(
         mean=phi,
         factor=precision,

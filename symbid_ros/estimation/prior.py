@@ -8,6 +8,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import PriorError
+from symbid_ros.estimation.block_matrices import independent_blocks
 from symbid_ros.estimation.prior_scales import MISSING_PARTS
 from symbid_ros.estimation.prior_std import (
     absolute_std,
@@ -120,12 +121,17 @@ class Prior:
         if self.alone is None:
             return [whole]
         own = self.covariance_factor()[np.ix_(judged, judged)]
-        numbers = [
-            solve_triangular(own, np.diag(deviations), lower=True)
-            for deviations in self.alone[:, judged]
-        ]
-        squares, V = np.linalg.eigh(whole - sum(root @ root.T for root in numbers))
-        return [V * np.sqrt(np.maximum(squares, 0.0)), *numbers]
+        roots = [np.zeros_like(whole) for _ in range(1 + len(self.alone))]
+        # Links are independent. Eigenvectors of all together would mix those with equal values.
+        for block in independent_blocks(own):
+            place = np.ix_(block, block)
+            left = np.eye(len(block))
+            for root, deviations in zip(roots[1:], self.alone[:, judged[block]], strict=True):
+                root[place] = solve_triangular(own[place], np.diag(deviations), lower=True)
+                left -= root[place] @ root[place].T
+            squares, V = np.linalg.eigh(left)
+            roots[0][place] = V * np.sqrt(np.maximum(squares, 0.0))
+        return roots
 
     def widened(self, scale: FloatArray) -> "Prior":
         """Return the prior with column i of its covariance factor times ``scale[i]``."""

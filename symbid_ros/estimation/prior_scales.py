@@ -7,6 +7,7 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.block_matrices import without_zeros
 
 # Range of the factor that the evidence may put on the prior's deviations. A payload that the model
 # lacks needs thousands on a last link of a few grams.
@@ -80,7 +81,7 @@ class PriorEvidence:
             starts = [common, np.where(np.arange(count) < 2, common, 0.0)]
         else:
             starts = [start]
-        moments = np.array([rows @ rows.T for rows in (self.A @ root for root in kinds)])
+        moments = np.array([rows @ rows.T for rows in (self.A @ without_zeros(x) for x in kinds)])
         ratio = np.array([[1.0, -1.0] + [0.0] * (count - 2)]) / RATIO_STD
         precision = ratio.T @ ratio + np.diag([0.0, 0.0] + [1 / PARTS_STD**2] * (count - 2))
         narrow = np.array([1.0, 1.0] + [0.0] * (count - 2)) / NARROWING_STD**2

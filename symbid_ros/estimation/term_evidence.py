@@ -375,7 +375,7 @@ def _with_effect(found: Posterior, free: BoolArray, effect: Effect) -> BoolArray
         more = free.copy()
         more[used] = True
         of_sign = np.intersect1d(used, positive)
-        return more, of_sign[_conditional(found, more)[0][of_sign] < 0]
+        return more, of_sign[conditional(found, more, of_sign)[0] < 0]
 
     more, negative = some(columns)
     while len(negative) and len(positive) == len(effect.columns):
@@ -385,17 +385,22 @@ def _with_effect(found: Posterior, free: BoolArray, effect: Effect) -> BoolArray
     return more if added and not len(negative) else None
 
 
-def _conditional(found: Posterior, unknowns: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and covariance given that all but some unknowns are at their prior means."""
-    mean, covariance = found.mean, found.deviation_factor @ found.deviation_factor.T
-    free = np.ones(len(mean), bool)
-    free[: len(unknowns)] = unknowns
-    fixed = np.flatnonzero(~free)
+def conditional(
+    found: Posterior, unknowns: BoolArray, some: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean (s,) and covariance (s, s) of some parameters.
+
+    Those of the first k that are not ``unknowns`` (k,) are given to be at their prior means.
+    """
+    mean, covariance = found.mean[some], found.parameter_covariance
+    fixed = np.flatnonzero(~unknowns)
+    own = covariance[np.ix_(some, some)]
     if len(fixed):
-        gain = np.linalg.solve(covariance[np.ix_(fixed, fixed)], covariance[fixed]).T
-        mean = mean - gain @ (mean - found.prior.mean)[fixed]
-        covariance = covariance - gain @ covariance[fixed]
-    return mean, covariance
+        cross = covariance[np.ix_(fixed, some)]
+        gain = np.linalg.solve(covariance[np.ix_(fixed, fixed)], cross).T
+        mean = mean - gain @ (found.mean - found.prior.mean)[fixed]
+        own = own - gain @ cross
+    return mean, own
 
 
 class _LeftOut:
@@ -416,7 +421,6 @@ class _LeftOut:
         if term is not None:
             unknowns[term] = False
         found = self._found
-        mean, covariance = _conditional(found, unknowns)
         used = unknowns[self._columns]
         columns = self._columns[used]
         offset = self._columns[~used]
@@ -425,14 +429,14 @@ class _LeftOut:
         right[:-1][~used] = -found.prior.mean[offset]
         right[-1] = 1.0
         moved, place = self._moment @ right, np.flatnonzero(used)
-        some = covariance[np.ix_(columns, columns)]
-        values, V = np.linalg.eigh(some)
+        mean, covariance = conditional(found, unknowns, columns)
+        values, V = np.linalg.eigh(covariance)
         L = V * np.sqrt(np.maximum(values, 0.0))
         total = 0.0
         for moment, side in zip(self._moment, moved, strict=True):
             G, g = self._weight * moment[np.ix_(place, place)], self._weight * side[place]
             left, U = np.linalg.eigh(np.eye(len(L)) - L.T @ G @ L)
-            pull = U.T @ (L.T @ (G @ mean[columns] - g))
-            without = mean[columns] + L @ (U @ (pull / np.maximum(left, LEAST_LEFT)))
+            pull = U.T @ (L.T @ (G @ mean - g))
+            without = mean + L @ (U @ (pull / np.maximum(left, LEAST_LEFT)))
             total += float(without @ G @ without - 2 * g @ without + self._weight * right @ side)
         return total

@@ -34,6 +34,7 @@ from symbid_ros.identification.log_reading import (
     require_rows,
     with_loaded_logs,
     with_reversed,
+    with_rigid_joints,
 )
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prior_options import (
@@ -202,6 +203,8 @@ def load_problem(
     options = options or IdentifyOptions()
     log = log.of_robot(robot)
     robot = log.applied_to(robot)
+    if read is None:
+        robot = with_rigid_joints(robot, log, options)
     if read is None and not options.tare:
         options = with_assumed_contacts(options, robot, log)
     parameters = load_parameters(robot, options)

@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from symbid_ros.choices import KINEMATIC_ERRORS
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.identification.options import IdentifyOptions, Source
 from symbid_ros.identification.rows.aligned_log import AlignedLog, ChainedSegments
 from symbid_ros.identification.rows.dataset import Dataset, Processing, fold_dataset, read_dataset
+from symbid_ros.model.held_joints import with_held_joints
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import RobotModel
@@ -23,6 +25,10 @@ from symbid_ros.signals.segments import Segment
 logger = logging.getLogger(__name__)
 
 MINUTE = 60_000_000_000  # ns
+FIRST_PART = 4_000_000_000  # ns, whose joint states tell which joints the log has
+# Joints that a log lacks, from which on they count as rigid. Fewer, such as those of a gripper's
+# fingers, cost little time, and their links keep parameters of their own.
+MANY = 8
 
 
 def read_log(
@@ -48,6 +54,43 @@ def first_segments(log: Log, robot: RobotModel, span: int = MINUTE) -> tuple[Seg
             if segment.stamp[-1] - found[0].stamp[0] > span:
                 break
     return tuple(found)
+
+
+def with_rigid_joints(robot: RobotModel, log: Log, options: IdentifyOptions) -> RobotModel:
+    """Return a robot in which many joints that the log lacks do not move.
+
+    Links beyond them would have parameters that no row shows. Joints stay as they are if options
+    name them, their links, or results with the parameters of these.
+    """
+    if len(robot.measured_joint_names) < MANY or options.wrist_sensors:
+        return robot
+    is_bound = options.prior is not None or options.information is not None
+    if is_bound or options.choose_truncation is not None or options.loaded_logs:
+        return robot
+    if not set(KINEMATIC_ERRORS).isdisjoint(options.sensor_error_kinds):
+        return robot
+    positions = _held_positions(log)
+    named = " ".join(
+        str(getattr(options, one))
+        for one in ("joint_terms", "drive_gain", "effort_side", "coupling", "ripple", "payload")
+    )
+    held = {
+        joint.name: positions[joint.name]
+        for joint, link in zip(robot.joints, robot.link_names[1:], strict=True)
+        if joint.name in positions and joint.name not in named and link not in named
+    }
+    return with_held_joints(robot, held) if len(held) >= MANY else robot
+
+
+def _held_positions(log: Log) -> dict[str, float]:
+    """Return where joints that a log lacks are held, rad (m)."""
+    with suppress(SymbidError):  # the checks report faults
+        for part in log.slices(FIRST_PART, warn=False):
+            if part.streams is not None:
+                joints = part.streams.joints
+                columns = [joints.names.index(name) for name in joints.held]
+                return dict(zip(joints.held, joints.position[0, columns].tolist(), strict=True))
+    return {}
 
 
 def open_logs(sources: tuple[Source, ...], log: Log) -> list[Log]:

@@ -25,6 +25,7 @@ from symbid_ros.identification.stored_information import (
     merged_observations,
     require_constant_friction,
 )
+from symbid_ros.model.held_joints import without_held_joints
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -261,6 +262,7 @@ class Result:
     def robot(self) -> RobotModel:
         """The robot with the identified parameters."""
         found = without_wrist_sensors(self._parameters.apply(self.estimate.value))
+        found = without_held_joints(found)
         return replace(found, contacts=None)
 
     @property

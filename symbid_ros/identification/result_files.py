@@ -26,6 +26,7 @@ from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.report_data import FILE_NAME as REPORT_DATA
 from symbid_ros.model.export_mjcf import mjcf_files, replaced_values
 from symbid_ros.model.export_urdf import unwritten, urdf_text
+from symbid_ros.model.held_joints import with_held_joints, without_held_joints
 from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -139,7 +140,7 @@ def _log_unwritten(parameters: ParameterSet, estimate: Estimate, out: Path) -> N
         # Terms that the data neither ask for nor exclude stay free without being known.
         terms = np.arange(len(values)) >= parameters.inertial
         values[terms & ~estimate.determined] = 0.0
-    identified = parameters.apply(values)
+    identified = without_held_joints(parameters.apply(values))
     lost: list[str] = [
         term
         for term, columns in parameters.term_columns.items()
@@ -268,7 +269,7 @@ def _urdf(
 ) -> str:
     source = Path(parameters.model.source)
     return urdf_text(
-        parameters.apply(values),
+        without_held_joints(parameters.apply(values)),
         None if is_mjcf(source) else source,
         comment=comment,
         before=before,
@@ -286,7 +287,7 @@ def _mjcf(
 ) -> dict[PurePosixPath, str]:
     source = Path(parameters.model.source)
     return mjcf_files(
-        parameters.apply(values),
+        without_held_joints(parameters.apply(values)),
         source if is_mjcf(source) else None,
         folder,
         name=name,
@@ -343,6 +344,7 @@ def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
         return EstimatedModel(parameters, load_prior(file, parameters).mean)
     estimate = load_estimate(file)
     _require_sensor_frames(file, estimate, model)
+    model = with_held_joints(model, estimate.held_joints)
     model = with_wrist_sensors(model, estimate.wrist_sensors)
     if estimate.gravity is not None and not model.floating:
         model = replace(model, gravity=np.array(estimate.gravity))

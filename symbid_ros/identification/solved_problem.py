@@ -35,7 +35,8 @@ from symbid_ros.identification.rows.window_comparison import (
     WindowComparison,
     solve_window,
 )
-from symbid_ros.identification.terms.remarks import joints_without_rows
+from symbid_ros.identification.terms.remarks import held_remarks, joints_without_rows
+from symbid_ros.model.held_joints import held_positions
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import force_only_sensors
@@ -462,13 +463,14 @@ class SolvedProblem:
             software=SOFTWARE,
             known=parameters.known_values,
             joint_terms=None if choice is None else dict(choice.by_joint),
-            remarks=(*self.problem.remarks, *self._term_remarks()),
+            remarks=(*self.problem.remarks, *held_remarks(parameters.model), *self._term_remarks()),
             wrist_sensors=sensor_names(parameters.model),
             load_reference=_load_reference(parameters),
             courses=tuple(one for one in parameters.courses if one[0] >= 0),  # of this log
             contacts=() if contacts is None else contacts.names,
             force_only=force_only_sensors(parameters.model),
             gravity=None if parameters.model.floating else tuple(parameters.model.gravity.tolist()),
+            held_joints=held_positions(parameters.model),
         )
 
     def _term_remarks(self) -> tuple[str, ...]:

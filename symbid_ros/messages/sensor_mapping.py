@@ -203,6 +203,7 @@ class HeldJoints:
             position=with_columns(stream.position, list(held.values())),
             velocity=with_columns(stream.velocity, nothing),
             effort=with_columns(stream.effort, nothing),
+            held=tuple(held),
         )
 
     @property

@@ -1,6 +1,6 @@
 """A robot as a tree of links joined by revolute and prismatic joints."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -225,6 +225,22 @@ class Contacts:
         return self.independent is not None
 
 
+@dataclass(frozen=True)
+class HeldJoints:
+    """Joints that count as rigid, see :mod:`symbid_ros.model.held_joints`.
+
+    Attributes
+    ----------
+    positions : mapping of str to float
+        Where they are held, rad (m).
+    robot : RobotModel
+        The robot in which they move.
+    """
+
+    positions: Mapping[str, float]
+    robot: "RobotModel"
+
+
 @dataclass(frozen=True, eq=False)
 class RobotModel:
     """Kinematics and inertias of any robot that is a tree of links.
@@ -249,6 +265,8 @@ class RobotModel:
         Bodies of the model file, of which the links are made; empty for a robot without a file.
     contacts : Contacts or None
         Contacts without a wrench sensor; None if every contact has one.
+    held : HeldJoints or None
+        Joints of the model file that are not among ``joints``; None if there are none.
     """
 
     name: str
@@ -260,6 +278,7 @@ class RobotModel:
     source: str
     bodies: "tuple[Body, ...]" = field(default=(), repr=False, compare=False)
     contacts: Contacts | None = None
+    held: HeldJoints | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Reject duplicate names of links and joints."""

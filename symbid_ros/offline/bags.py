@@ -39,6 +39,7 @@ from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.topics import Topic, TopicSelection, is_measured
 from symbid_ros.messages.types import IMU, ODOMETRY, POSE, WRENCH
+from symbid_ros.model.held_joints import with_held_joints
 from symbid_ros.model.load import as_model, is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import sensor_frame, with_wrist_sensors
@@ -349,6 +350,7 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
     """
     robot.require_mass()
     estimate = result.estimate
+    robot = with_held_joints(robot, estimate.held_joints)
     divided = with_wrist_sensors(robot, estimate.wrist_sensors)
     parameters = estimate.parameters_of(divided)
     if parameters.names != estimate.names:

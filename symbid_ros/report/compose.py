@@ -23,6 +23,7 @@ from symbid_ros.identification.predictions.realistic_prediction import (
     RealisticMotion,
     evaluate_realistic,
 )
+from symbid_ros.model.held_joints import with_held_joints
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
@@ -68,7 +69,8 @@ class GroundTruth:
 
     def values(self, result: ReportedResult) -> FloatArray:
         """Return the true values (p,) of a result's parameters."""
-        model = with_wrist_sensors(self.model, result.estimate.wrist_sensors)
+        model = with_held_joints(self.model, result.estimate.held_joints)
+        model = with_wrist_sensors(model, result.estimate.wrist_sensors)
         true = replace(result.parameters, model=model)
         if true.names != result.parameters.names:
             raise EstimateError(

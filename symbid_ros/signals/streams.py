@@ -32,6 +32,8 @@ class JointStream:
         rad or m, rad/s or m/s, Nm or N; NaN where the message has no value.
     effort_scale, position_scale : mapping of str to float
         Factors by which the user's options have converted efforts and positions of joints.
+    held : tuple of str
+        Joints that were not recorded, at constant positions.
     """
 
     topic: str
@@ -42,6 +44,7 @@ class JointStream:
     effort: FloatArray
     effort_scale: Mapping[str, float] = field(default_factory=dict)
     position_scale: Mapping[str, float] = field(default_factory=dict)
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from symbid_ros.diagnosis.findings import Finding, Kind
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.estimation.alarms import SUSPICIOUS_WHITENESS, Alarm
+from symbid_ros.identification.causes.candidate_causes import GROUPS, Candidate
+from symbid_ros.identification.causes.likely_cause import LeftOutBlocks
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.log_checks import LogChecks
 from symbid_ros.identification.options import IdentifyOptions
@@ -396,3 +399,30 @@ def test_drives_that_warm_up_are_no_cause_in_short_recordings_far_apart(robot, s
     alarms = sy.identify(robot, log, no_holdout=True, unchecked=True).alarms
     (alarm,) = (one for one in alarms if "none of these explains it" in one)
     assert ("viscous friction that changes during the log" in alarm) == (seconds > 50)
+
+
+def test_errors_of_left_out_blocks_are_those_of_as_many_regressions():
+    rng = np.random.default_rng(0)
+    count, n, p, m = 10 * GROUPS, 3, 4, 2
+    K, columns = rng.normal(size=(count, n, p)), rng.normal(size=(count, n, m))
+    residual = K.sum(axis=2) + 2 * columns.sum(axis=2) + rng.normal(size=(count, n))
+    covariance = np.array([[2.0, 0.3, 0.0], [0.3, 1.0, 0.1], [0.0, 0.1, 0.5]])
+    cause = Candidate("delay", ("a", "b"), columns, np.full(m, 1e3))
+    group = np.arange(count) % GROUPS
+    rows = SimpleNamespace(
+        K=K, residual=residual, candidates=(cause,), group=group, covariance=covariance
+    )
+    white = np.linalg.inv(np.linalg.cholesky(covariance))
+    known = np.eye(p, p + m)  # a row of the prior for each identified unknown
+    each, total = np.zeros(n), 0.0
+    for one in range(GROUPS):
+        A = np.concatenate([K, columns], axis=2)
+        others = (white @ A[group != one]).reshape(-1, p + m)
+        target = (residual[group != one] @ white.T).ravel()
+        x = np.linalg.lstsq(np.vstack([others, known]), np.append(target, np.zeros(p)))[0]
+        left = (residual - A @ x)[group == one]
+        each += np.sum(left**2, axis=0)
+        total += np.sum((left @ white.T) ** 2)
+    found = LeftOutBlocks(rows).errors(cause)
+    np.testing.assert_allclose(found[0], each, rtol=1e-4)
+    assert found[1] == pytest.approx(total, rel=1e-4)

@@ -141,6 +141,7 @@ def test_a_joint_that_is_not_recorded_is_held(bag, model, names, tmp_path, caplo
     short = edit_bag(bag, tmp_path / "bag", {"/joint_states": drop})
     held = load_bag(short, model, hold_joint=(f"{missing}:=0.3",)).streams().joints
     assert not caplog.records
+    assert held.held == (missing,)
     column = held.names.index(missing)
     assert (held.position[:, column] == 0.3).all()
     assert np.isnan(held.effort[:, column]).all()

@@ -249,7 +249,7 @@ def _explanation(rows: CandidateRows, worst: UnexplainedForce, delay: str = "") 
 def best_cause(rows: CandidateRows, coordinate: str) -> Cause | None:
     """Return the cause that best explains all coordinates and one in particular."""
     worst = rows.model.coordinates.index(coordinate)
-    tests = _LeftOutBlocks(rows)
+    tests = LeftOutBlocks(rows)
     before, total = tests.errors()
 
     def tried(kind: str, *candidates: Candidate) -> Cause:
@@ -328,14 +328,14 @@ def _detail(cause: Candidate, values: FloatArray) -> str:
     return f", mostly of {owner}"
 
 
-class _LeftOutBlocks:
+class LeftOutBlocks:
     """Square errors of blocks that are predicted from other blocks.
 
-    The moments of all columns are formed once, group by group and coordinate by coordinate.
+    The moments of all whitened columns are formed once, group by group.
     """
 
     def __init__(self, rows: CandidateRows) -> None:
-        n, p = rows.K.shape[1:]
+        p = rows.K.shape[2]
         parts, self._places, width = [rows.K], {}, p
         for one in rows.candidates:
             parts.append(one.columns)
@@ -343,11 +343,9 @@ class _LeftOutBlocks:
             width += one.columns.shape[2]
         flat = np.concatenate([*parts, rows.residual[:, :, None]], axis=2)
         whitening = np.linalg.inv(np.linalg.cholesky(rows.covariance))
-        self._moments = np.empty((GROUPS, n, width + 1, width + 1))
+        self._rows = [flat[rows.group == group] for group in range(GROUPS)]
         self._whitened = np.empty((GROUPS, width + 1, width + 1))
-        for group in range(GROUPS):
-            some = flat[rows.group == group]
-            self._moments[group] = some.transpose(1, 2, 0) @ some.transpose(1, 0, 2)
+        for group, some in enumerate(self._rows):
             white = (whitening @ some).reshape(-1, width + 1)
             self._whitened[group] = white.T @ white
         self._known = np.arange(p)
@@ -377,11 +375,11 @@ class _LeftOutBlocks:
         """
         used = self._columns(*causes)
         everything = self._whitened.sum(axis=0)
-        each, total = np.zeros(self._moments.shape[1]), 0.0
-        for moments, whitened in zip(self._moments, self._whitened, strict=True):
+        each, total = np.zeros(self._rows[0].shape[1]), 0.0
+        for rows, whitened in zip(self._rows, self._whitened, strict=True):
             x = np.zeros(len(everything))
             x[used], x[-1] = -self._solve(everything - whitened, used), 1.0
-            each += (moments @ x) @ x
+            each += np.sum((rows @ x) ** 2, axis=0)
             total += float(x @ whitened @ x)
         return each, total
 

@@ -10,13 +10,26 @@ from symbid_ros.dynamics.regressor import COULOMB_SPEED, equation_of_motion
 from symbid_ros.dynamics.unmeasured_contacts import combined_coordinates
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import random_motions
+from symbid_ros.model.held_joints import held_positions
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
 
 # Windows in which a joint slips, below which nothing is said about its friction.
 FEWEST_SLIPPING = 25
 # Share of a column's square that the other columns leave, below which they replace it.
 REPLACED = 1e-8
 ROUNDING = 1e-12  # largest column that counts as zero, relative to the largest of all
+
+
+def held_remarks(model: RobotModel) -> tuple[str, ...]:
+    """Return a sentence about links that are parts of others, as the log lacks their joints."""
+    names = list(held_positions(model))
+    if not names:
+        return ()
+    return (
+        f"{len(names)} joints that the log lacks are rigid, from {names[0]} to {names[-1]}: each "
+        "link beyond them is a part of the link that carries it",
+    )
 
 
 def resting_joints(slipping: Observations | None, parameters: ParameterSet) -> BoolArray:
