@@ -118,7 +118,7 @@ def check_forces(
     if statistics.model.floating:
         figures["weight_left"] = gains.before / statistics.weight
         figures["weight_left_with_gains"] = gains.after / statistics.weight
-        figures["weight_carried"] = statistics.carried_share
+        figures["mass_ratio"] = gains.mass_ratio
     for index, turn in rotations.items():
         figures[f"{frames[index]}/gain"] = turn.sign * turn.scale
         figures[f"{frames[index]}/angle_deg"] = float(np.degrees(turn.angle))
@@ -171,9 +171,14 @@ def check_forces(
     vanishing = bool(found or rotations) and not EXPLAINED[0] <= common <= EXPLAINED[1]
     if several or vanishing:
         remark = _noise_remark(statistics) + _offset_remark(statistics, topics)
+        if rotations and statistics.model.floating and gains.mass_ratio < 1 - MASS_ERROR:
+            remark += (
+                f"; the forces are those of {gains.mass_ratio:.2f} times the model's mass, as if a "
+                "support without a sensor, such as a crane, carried the rest"
+            )
         found = [_contradiction([joints, *topics.values()], remark)]
     if not found and rotations and statistics.model.floating:
-        found = list(_weight_findings(statistics, frames))
+        found = list(_weight_findings(statistics, gains.mass_ratio, frames))
     left_out: tuple[str, ...] = ()
     if rotations and not is_anchored:
         left_out = (
@@ -301,12 +306,13 @@ def _unexplained(
     return Finding(Kind.WEIGHT, "", Severity.UNUSABLE, text, figures)
 
 
-def _weight_findings(statistics: ModelStatistics, frames: Sequence[str]) -> Iterator[Finding]:
+def _weight_findings(
+    statistics: ModelStatistics, share: float, frames: Sequence[str]
+) -> Iterator[Finding]:
     """Yield a finding if wrenches that agree with the efforts carry another mass than the model's.
 
     Gains that all differ from one alike are no fault of a sensor, and links adapt to them.
     """
-    share = statistics.carried_share
     if abs(share - 1) <= MASS_ERROR:
         return
     stated = statistics.weight / float(np.linalg.norm(statistics.model.gravity))
@@ -318,7 +324,7 @@ def _weight_findings(statistics: ModelStatistics, frames: Sequence[str]) -> Iter
         f"the wrenches (frames: {', '.join(frames)}) carry {carried}, {share:.2f} times the "
         f"{_kilograms(stated)} of the model: weigh the robot; if it weighs {carried}, correct the "
         f"model's masses; if it weighs what the model does, {load_cause(share - 1)}",
-        {"carried_share": share},
+        {"mass_ratio": share},
     )
 
 

@@ -192,6 +192,8 @@ class GainEstimate:
     hidden_loads : mapping of int to float
         Driven joints whose efforts hardly show their load, although their gains differ from one,
         with the share of the effort that the load explains.
+    mass_ratio : float
+        Total mass that explains the log with all gains at one, over the model's.
     """
 
     sensors: GainLayout
@@ -202,6 +204,7 @@ class GainEstimate:
     after: float
     reversed_wrenches: float = np.inf
     hidden_loads: Mapping[int, float] = field(default_factory=dict)
+    mass_ratio: float = 1.0
 
     def matrix(self, place: slice) -> tuple[FloatArray, FloatArray]:
         """Return A or M (3, 3) of a sensor and the covariance (9, 9) of its rows."""

@@ -461,15 +461,6 @@ class CoordinateRows:
         ]
         return np.array(squares) / max(self.samples, 1)
 
-    def scale(self, coordinates: slice, unknowns: FloatArray) -> float:
-        """Return the s with which y of some coordinates is closest to s K x, for x (q,)."""
-        product = square = 0.0
-        for columns, factor in list(zip(self._columns, self._factors, strict=True))[coordinates]:
-            expected = factor[:, :-1] @ unknowns[columns]
-            product += float(expected @ factor[:, -1])
-            square += float(expected @ expected)
-        return product / square if square > 0 else np.nan
-
     def factor(self, coordinate: int) -> FloatArray:
         """Return the triangular factor (w, q + 1) of a coordinate's rows [K y], all columns."""
         columns, own = self._columns[coordinate], self._factors[coordinate]

@@ -81,7 +81,17 @@ def estimate_gains(problem: GainProblem) -> GainEstimate:
         found.mean[place] = 1 / ratio - 1
         found.covariance[place], found.covariance[:, place] = 0.0, 0.0
         found.covariance[place, place] = (std / ratio) ** 2
-    return replace(found, hidden_loads=hidden)
+    return replace(found, hidden_loads=hidden, mass_ratio=_mass_ratio(problem, pinned))
+
+
+def _mass_ratio(problem: GainProblem, pinned: FloatArray) -> float:
+    """Return the total mass that explains the log with all gains at one, over the model's."""
+    rows = problem.rows
+    left = (LOAD_ERROR * loads(rows, problem.expected)) ** 2
+    for _ in range(ITERATIONS):
+        at, _ = problem.solve(pinned, left + problem.floor)
+        left = rows.residual_squares(at)
+    return problem.mass_ratio(at)
 
 
 def estimate_delays(problem: GainProblem) -> GainEstimate:

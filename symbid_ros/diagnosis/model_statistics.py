@@ -223,14 +223,6 @@ class ModelStatistics:
         return float(np.sqrt(np.sum(self.rows.target_squares[3:6])))
 
     @property
-    def carried_share(self) -> float:
-        """Share of the force that the model's motion takes which the wrench sensors measure.
-
-        Both are those on a floating base, so that it holds in motion too.
-        """
-        return self.rows.scale(slice(3, 6), self.problem.expected)
-
-    @property
     def scale_evidence(self) -> ScaleEvidence:
         """What tells a unit of the efforts from one of the model's masses."""
         joints = [self.model.joints[place] for place in self.gains.driven]

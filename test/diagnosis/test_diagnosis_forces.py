@@ -1,6 +1,6 @@
 """Verdicts on wrenches and efforts from given gains, on either side of each limit."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -46,7 +46,7 @@ class Robot:
     driven: int = 4
     std: float = STD
     carried: float = 500.0
-    carried_share: float = 1.0
+    mass_ratio: float = 1.0
     density: float = 500.0
     suspect: tuple = ("", 0.0)
 
@@ -61,11 +61,11 @@ class Robot:
         covariance = self.std**2 * np.eye(len(mean))
         before, backwards = 500.0 * self.left, 500.0 * self.left_reversed
         gains = GainEstimate(layout, mean, covariance, np.zeros(0), before, 5.0, backwards)
+        gains = replace(gains, mass_ratio=self.mass_ratio)
         statistics = SimpleNamespace(
             model=SimpleNamespace(floating=self.floating, gravity=np.array([0.0, 0.0, -10.0])),
             weight=500.0,
             carried=self.carried,
-            carried_share=self.carried_share,
             scale_evidence=ScaleEvidence(self.density),
             effort_limits={},
             wrench_noise=(0.0, 0.0),
@@ -181,20 +181,27 @@ def test_wrenches_that_weigh_another_robot_doubt_its_masses(carried, density, ti
 )
 def test_wrenches_that_carry_another_mass_alone_are_named(share, says):
     """Gains alike that differ from one are no fault of a sensor."""
-    verdict = Robot(left=abs(1 - share), carried_share=share).verdict()
+    verdict = Robot(left=abs(1 - share), mass_ratio=share).verdict()
     if says is None:
         assert not verdict.findings
         return
     (finding,) = verdict.findings
     assert (finding.kind, finding.severity) == (Kind.WEIGHT, Severity.WARNING)
     assert says in finding.message
-    assert finding.figures == {"carried_share": share}
-    assert verdict.figures["weight_carried"] == share
+    assert finding.figures == {"mass_ratio": share}
+    assert verdict.figures["mass_ratio"] == share
 
 
 def test_the_fault_of_a_sensor_explains_what_the_wrenches_carry():
-    robot = Robot([0.5 * IDENTITY, IDENTITY], carried_share=0.7)
+    robot = Robot([0.5 * IDENTITY, IDENTITY], mass_ratio=0.7)
     assert robot.kinds == [(Kind.WRENCH_GAIN, "/left")]
+
+
+@pytest.mark.parametrize(("share", "is_named"), [(0.74, True), (0.76, False)])
+def test_a_crane_may_explain_a_contradiction(share, is_named):
+    (finding,) = Robot([-IDENTITY, QUARTER], [0.5, 1, 1, 1], mass_ratio=share).verdict().findings
+    assert finding.kind is Kind.CONTRADICTION
+    assert ("such as a crane, carried the rest" in finding.message) == is_named
 
 
 @pytest.mark.parametrize("carried", [300.0, 400.0])

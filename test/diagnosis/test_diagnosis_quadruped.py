@@ -70,7 +70,7 @@ def test_forces_that_all_carry_another_mass_are_named(judged, model, factor, is_
     diagnosis = judged(spoil)
     real, stated = (float(one.phi[:, 0].sum()) for one in (real_robot(model), model))
     carried = factor * real / stated
-    assert diagnosis.figures["weight_carried"] == pytest.approx(carried, rel=2e-3)
+    assert diagnosis.figures["mass_ratio"] == pytest.approx(carried, rel=0.01)
     assert found(diagnosis) == [(Kind.WEIGHT, "")] * is_found
 
 
