@@ -1,6 +1,5 @@
 """Diagnoses a log slice by slice."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, merged
@@ -14,7 +13,6 @@ from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks, fatal_finding, unusable
 from symbid_ros.errors import DataError
-from symbid_ros.model.impossible_links import describe_impossible_links, impossible_links
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import align_checked, warn_once
 from symbid_ros.signals.defects import Defect, DefectError
@@ -122,11 +120,10 @@ class _LogDiagnoser:
         if not self.fatal and not self.streams.timings:
             text = f"{self.source}: no data in the requested part; give an earlier `start`"
             of_streams.append(Finding(Kind.SILENT, "", Severity.UNUSABLE, text))
-        of_model = [*self._impossible_links(), *checks.findings]
         return Diagnosis(
             source=self.source,
             streams=tuple(timing.figures for timing in self.streams.timings.values()),
-            findings=tuple(merged(of_streams, of_model)),
+            findings=tuple(merged(of_streams, checks.findings)),
             figures=checks.figures,
             left_out=tuple(checks.left_out),
         )
@@ -158,12 +155,6 @@ class _LogDiagnoser:
         if self.statistics.rows.samples < 1:
             checks.findings.append(self._shortage())
         return checks
-
-    def _impossible_links(self) -> Iterator[Finding]:
-        """Yield the finding of links that no body can be; the log does not matter."""
-        if self.model is not None and (text := describe_impossible_links(self.model)):
-            count = len(impossible_links(self.model))
-            yield Finding(Kind.IMPOSSIBLE_LINK, "", Severity.WARNING, text, {"links": count})
 
     def _shortage(self) -> Finding:
         """Return the finding of a log without a part that is long enough for the checks."""

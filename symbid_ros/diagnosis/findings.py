@@ -59,7 +59,6 @@ class Kind(Enum):
     LAYOUT = "layout"
     UNREADABLE = "unreadable"
     # Against the model.
-    IMPOSSIBLE_LINK = "impossible_link"
     WEIGHT = "weight"
     MISSING_WRENCH = "missing_wrench"
     CONTRADICTION = "contradiction"
