@@ -116,6 +116,12 @@ def masses_fault(factor: float) -> str:
     return f"{size} times too {'large' if factor > 1 else 'small'}"
 
 
+def is_plausible_mass(ratio: float) -> bool:
+    """Return whether a robot may weigh so many times what its model file says."""
+    # A file that is wrong by MASS_ERROR of the true mass differs by more of its own.
+    return 1 - MASS_ERROR <= ratio <= 1 / (1 - MASS_ERROR)
+
+
 def load_cause(change: float) -> str:
     """Return why forces carry more or less than the true mass, and what to do, by the sign."""
     if change > 0:

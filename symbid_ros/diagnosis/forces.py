@@ -11,6 +11,7 @@ from symbid_ros.diagnosis.common_scale import (
     MILLI,
     Cause,
     ScaleEvidence,
+    is_plausible_mass,
     load_cause,
     masses_fault,
     unit_name,
@@ -313,7 +314,7 @@ def _weight_findings(
 
     Gains that all differ from one alike are no fault of a sensor, and links adapt to them.
     """
-    if abs(share - 1) <= MASS_ERROR:
+    if is_plausible_mass(share):
         return
     stated = statistics.weight / float(np.linalg.norm(statistics.model.gravity))
     carried = _kilograms(share * stated)

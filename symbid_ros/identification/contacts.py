@@ -1,7 +1,7 @@
 """The robot as options say it is: its mounting, wrist sensors and contacts."""
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.diagnosis.common_scale import MASS_ERROR, load_cause
+from symbid_ros.diagnosis.common_scale import is_plausible_mass, load_cause
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.identification.robot_options import RobotOptions
@@ -47,7 +47,8 @@ def total_mass_alarms(
     if not model.floating:
         return ()
     change = float(after.sum() - before.sum())
-    if abs(change) <= max(MASS_ERROR * before.sum(), CHANCE * std):
+    is_chance = abs(change) <= CHANCE * std
+    if is_chance or not before.sum() or is_plausible_mass(float(after.sum() / before.sum())):
         return ()
     start = (
         f"{Alarm.TOTAL_MASS} {before.sum():.3g} kg in the model file to {after.sum():.3g} "
