@@ -17,6 +17,7 @@ Term = Literal[
     "presliding",
     "stiffness",
     "lead",
+    "creep",
 ]
 Scenario = Literal[
     "smooth", "wide", "squat", "vibrating", "one_leg", "stepping", "suspended", "tare"
@@ -89,11 +90,16 @@ JOINT_TERMS: dict[Term, JointTerm] = {
     "presliding": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, True),
     "stiffness": JointTerm(("Nm/rad", "N/m"), "stiffness", 1.0, 2, 0.3, True),
     "lead": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, True),
+    "creep": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, True),
 }
 # Candidates only on robots whose model file states one, because few have it; the data are searched
 # for it otherwise.
 SPRING: Term = "stiffness"
 # A candidate only if the friction of all joints together leads, as that of simulated joints does.
 LEAD: Term = "lead"
+# Terms of the friction of simulated joints alone.
+SIMULATED_TERMS: tuple[Term, ...] = (LEAD, "creep")
 # Terms that act only while a joint slips. A sticking joint has static friction in their place.
-SLIDING_TERMS: frozenset[Term] = frozenset({"coulomb", "stribeck", "load", "presliding", "lead"})
+SLIDING_TERMS: frozenset[Term] = frozenset(
+    {"coulomb", "stribeck", "load", "presliding", *SIMULATED_TERMS}
+)

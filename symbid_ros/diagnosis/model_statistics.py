@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.choices import LEAD, TERMS, Term
+from symbid_ros.choices import SIMULATED_TERMS, TERMS, Term
 from symbid_ros.diagnosis.common_scale import ScaleEvidence, model_density
 from symbid_ros.diagnosis.effort_lags import LAGS, LaggedRows, lagged_efforts
 from symbid_ros.diagnosis.gain_problem import GainProblem
@@ -41,7 +41,9 @@ RATE, PASSED = 250.0, 0.2
 # sensor's and of the weight.
 LEAST_LOAD, LEAST_SHARE = 0.1, 0.01
 # Friction that grows with the load would be taken for a gain, so it is not among the terms here.
-CHECKED_TERMS: tuple[Term, ...] = tuple(term for term in TERMS if term not in ("load", LEAD))
+CHECKED_TERMS: tuple[Term, ...] = tuple(
+    term for term in TERMS if term not in ("load", *SIMULATED_TERMS)
+)
 # Seconds between the samples that tell whether a wrench is that of a payload, and between those of
 # the postures that tell how noise of wrenches loads the joints.
 PAYLOAD_PERIOD = POSTURE_PERIOD = 0.2

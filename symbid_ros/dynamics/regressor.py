@@ -47,6 +47,9 @@ PRESLIDING_TRAVEL = 2e-3, 2e-4
 # Time, s, by which friction leads: dmax timeconst / 2 of MuJoCo's default solimpfriction and
 # solreffriction.
 LEAD_TIME = 0.0095
+# Speed up to which the friction of light joints in MuJoCo may creep: (1 - d) timeconst dmax / (2 d)
+# times friction over inertia, with its default impedance d of 0.9, is 1.06 ms times 47 rad/s².
+CREEP_SPEED = 0.05, 0.005
 
 
 def is_slipping(velocity: FloatArray, joints: Sequence[Joint]) -> BoolArray:
@@ -143,10 +146,36 @@ def lead_column(samples: Samples, joints: Sequence[Joint]) -> FloatArray:
     MuJoCo's friction loss is a soft constraint, which tries to reach q̈ = -q̇/t: a joint that brakes
     harder is driven by its friction (MuJoCo documentation, Computation, Constraint model).
     """
-    ahead = samples.leading
-    if ahead is None:
-        ahead = leading_column(samples.velocity, samples.acceleration, joints)
-    column: FloatArray = ahead - sliding_column(samples, joints)
+    column: FloatArray = _leading(samples, joints) - sliding_column(samples, joints)
+    return column
+
+
+def creep_column(samples: Samples, joints: Sequence[Joint]) -> FloatArray:
+    """Return r - sign(q̇ + t q̈) (N, J), by how much friction is less while a joint creeps.
+
+    r rises from -1 to 1 between ∓ ``CREEP_SPEED``. MuJoCo's friction loss is in proportion to
+    q̇ + t q̈ up to a speed in proportion to its size over the inertia of the joint. With as much
+    Coulomb friction this is that speed; with less, the friction rises faster.
+    """
+    slow = samples.creeping
+    if slow is None:
+        slow = creeping_column(samples.velocity, samples.acceleration, joints)
+    column: FloatArray = slow - _leading(samples, joints)
+    return column
+
+
+def _leading(samples: Samples, joints: Sequence[Joint]) -> FloatArray:
+    if samples.leading is not None:
+        return samples.leading
+    return leading_column(samples.velocity, samples.acceleration, joints)
+
+
+def creeping_column(
+    velocity: FloatArray, acceleration: FloatArray, joints: Sequence[Joint]
+) -> FloatArray:
+    """Return the ramp (N, J) of q̇ + t q̈ between ∓ ``CREEP_SPEED``, from -1 to 1."""
+    ahead = velocity + LEAD_TIME * acceleration
+    column: FloatArray = np.clip(ahead / by_kind(CREEP_SPEED, joints), -1.0, 1.0)
     return column
 
 
@@ -415,6 +444,8 @@ def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, Float
         factors["presliding"] = presliding_column(samples, joints)
     if "lead" in parameters.terms:
         factors["lead"] = lead_column(samples, joints)
+    if "creep" in parameters.terms:
+        factors["creep"] = creep_column(samples, joints)
     return factors
 
 

@@ -34,9 +34,9 @@ class Samples:
         Names of the F sensor frames.
     touching : (N, C) bool or None
         Which contacts without a sensor touch something; None if all may.
-    sliding, leading, friction_state : (N, J) float64 or None
-        Of :func:`coulomb_column`, :func:`leading_column` and :func:`friction_state`, filtered like
-        the efforts; None for single instants.
+    sliding, leading, creeping, friction_state : (N, J) float64 or None
+        Of :func:`coulomb_column`, :func:`leading_column`, :func:`creeping_column` and
+        :func:`friction_state`, filtered like the efforts; None for single instants.
     upward : (N, 3) float64 or None
         Direction away from the earth in base axes; None if it follows from the motion of the base
         (:func:`symbid_ros.dynamics.upright.upward`).
@@ -55,6 +55,7 @@ class Samples:
     touching: BoolArray | None = None
     sliding: FloatArray | None = None
     leading: FloatArray | None = None
+    creeping: FloatArray | None = None
     friction_state: FloatArray | None = None
     upward: FloatArray | None = None
 

@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.choices import Term
+from symbid_ros.choices import SIMULATED_TERMS, Term
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.parameters import ParameterSet
 
@@ -25,7 +25,9 @@ from symbid_ros.model.parameters import ParameterSet
 ENTER = 3.4
 # By how much more a term must add that resembles the friction of every drive, viscous and Coulomb.
 RARE = 2.0
-RARE_TERMS: frozenset[Term] = frozenset({"stribeck", "load", "presliding", "lead", "stiffness"})
+RARE_TERMS: frozenset[Term] = frozenset(
+    {"stribeck", "load", "presliding", "stiffness", *SIMULATED_TERMS}
+)
 # By how much less a term must add that was chosen before, so that a live choice does not alternate.
 STAY = 1.8
 # Smallest cost of a term that all other drives have: 0.7 standard deviations.
@@ -202,7 +204,9 @@ class TermSets:
         # Stribeck friction is by how much friction exceeds Coulomb's at low speed, presliding by
         # how much it lags behind.
         if "coulomb" in kinds:
-            beside = sets[:, np.isin(kinds, ["stribeck", "presliding", "lead"])].any(axis=1)
+            beside = sets[:, np.isin(kinds, ["stribeck", "presliding", *SIMULATED_TERMS])].any(
+                axis=1
+            )
             is_possible &= sets[:, kinds == "coulomb"].any(axis=1) | ~beside
         return is_possible, -0.5 * (pull @ shift) - cost
 

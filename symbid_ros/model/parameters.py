@@ -1,6 +1,6 @@
 """The parameter vector φ: the columns of the regressor, their names, units and values."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -44,7 +44,8 @@ class ParameterSet:
         (the reflected inertia of rotor and gear), a constant offset, Stribeck friction
         sign(q̇) exp(-|q̇|/v), Coulomb friction in proportion to the load, sign(q̇) |τ|, the lag of
         friction after a reversal (presliding), the stiffness of a spring, q - q₀, and friction that
-        changes its sign before the velocity does (lead). They are sorted in this order.
+        changes its sign before the velocity does (lead) or is softer at low speed (creep). They are
+        sorted in this order.
     candidates : bool
         Whether the terms are candidates, of which the data choose some for each joint.
     couplings : tuple of Coupling
@@ -290,6 +291,13 @@ class ParameterSet:
         found = np.zeros(len(self), dtype=bool)
         if term in self.term_columns:
             found[self.term_columns[term]] = True
+        return found
+
+    def of_terms(self, terms: Iterable[Term]) -> BoolArray:
+        """Return which parameters (p,) are one of some terms of a joint."""
+        found = np.zeros(len(self), dtype=bool)
+        for term in terms:
+            found |= self.of_term(term)
         return found
 
     @cached_property

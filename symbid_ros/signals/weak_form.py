@@ -19,11 +19,12 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.choices import SLIDING_TERMS
+from symbid_ros.choices import SIMULATED_TERMS, SLIDING_TERMS
 from symbid_ros.dynamics.regressor import (
     Rows,
     averaged_equation_of_motion,
     coulomb_column,
+    creeping_column,
     friction_state,
     has_linear_rows,
     leading_column,
@@ -203,10 +204,11 @@ def with_filtered_friction(
     samples = replace(samples, sliding=low_pass(coulomb_column(velocity, model.joints)))
     if "presliding" in terms:
         samples = replace(samples, friction_state=low_pass(friction_state(position, model.joints)))
-    if "lead" in terms:
+    if not set(SIMULATED_TERMS).isdisjoint(terms):
         acceleration = np.gradient(velocity, 1 / rate, axis=0)
         ahead = leading_column(velocity, acceleration, model.joints)
-        samples = replace(samples, leading=low_pass(ahead))
+        slow = creeping_column(velocity, acceleration, model.joints)
+        samples = replace(samples, leading=low_pass(ahead), creeping=low_pass(slow))
     return samples
 
 

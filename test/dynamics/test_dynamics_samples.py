@@ -9,7 +9,7 @@ from random_robots import random_robot, random_samples
 from symbid_ros.dynamics.samples import Samples
 
 # All but the first are None for single instants.
-OTHERS = "wrench_frames", "sliding", "leading", "friction_state", "upward"
+OTHERS = "wrench_frames", "sliding", "leading", "creeping", "friction_state", "upward"
 ARRAYS = [field.name for field in fields(Samples) if field.name not in OTHERS]
 
 

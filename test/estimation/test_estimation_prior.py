@@ -232,6 +232,7 @@ def test_missing_joint_terms_are_zero_with_the_terms_deviation(driven):
             "load": 1,
             "presliding": 10,
             "lead": 10,
+            "creep": 10,
             "stiffness": 100,
         }
         for term, std in terms_of(parameters, prior.std).items():

@@ -16,6 +16,7 @@ from symbid_ros.dynamics.kinematics import link_poses, rotate
 from symbid_ros.dynamics.regressor import (
     Rows,
     coulomb_column,
+    creeping_column,
     friction_state,
     leading_column,
     stribeck_column,
@@ -300,6 +301,7 @@ class CandidateBuilder:
             "presliding": friction_state(readings.position, joints) - slips,
             "stiffness": readings.position,
             "lead": leading_column(velocity, readings.acceleration, joints) - slips,
+            "creep": creeping_column(velocity, readings.acceleration, joints) - slips,
             "warming": velocity * self._elapsed(readings.stamp)[:, None],
             "delay": rate,
             "torque_gain": effort,

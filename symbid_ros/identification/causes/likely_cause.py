@@ -56,6 +56,7 @@ EFFECTS = {
     "presliding": "friction that changes its sign after the velocity does",
     "stiffness": "springs at joints",
     "lead": "friction that changes its sign before the velocity does",
+    "creep": "friction that rises with the speed of slow joints",
     "delay": "a delay",
     "effort_delay": "delays of single efforts",
     "torque_gain": "gains of the efforts",

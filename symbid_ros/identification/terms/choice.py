@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.choices import LEAD, SLIDING_TERMS, Term
+from symbid_ros.choices import LEAD, SIMULATED_TERMS, SLIDING_TERMS, Term
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.passive_drives import contradicts_signs
 from symbid_ros.estimation.posterior import Posterior, posterior
@@ -199,7 +199,7 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
     selections = []
     # With friction in the model file, a joint may stick even if no joint of the log slips.
     if _any_slips(problem.observations, parameters) or np.any(stated & slipping):
-        usual = everything & ~parameters.of_term(LEAD)
+        usual = everything & ~parameters.of_terms(SIMULATED_TERMS)
         selection = _Selection.of(problem, usual, stated, previous, slips=True)
         if selection.has_leading_friction(problem):
             selection = _Selection.of(problem, everything, stated, previous, slips=True)

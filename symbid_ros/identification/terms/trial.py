@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray
-from symbid_ros.choices import LEAD
+from symbid_ros.choices import SIMULATED_TERMS
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import SUSPICIOUS_SCALE, SUSPICIOUS_WHITENESS
 from symbid_ros.estimation.group_moments import BY_SECONDS, Grouping
@@ -124,6 +124,6 @@ def try_columns(
     names = choice.parameters.names
     chosen_before = {name for name, free in zip(names, choice.free, strict=True) if free}
     free = np.array([name in chosen_before for name in parameters.names])
-    candidates = free | ~parameters.of_term(LEAD)
+    candidates = free | ~parameters.of_terms(SIMULATED_TERMS)
     found, chosen = candidate_posterior(everything, candidates, slips=slips)
     return Trial(found, chosen, free)
