@@ -49,8 +49,6 @@ class RowLayout:
         """
         model = parameters.model
         samples = replace(random_motions(model, 20), stamp=parameters.typical_stamps(20))
-        # A joint reverses in too few random motions for friction that leads to show.
-        samples = replace(samples, leading=np.zeros_like(samples.velocity))
         K = np.zeros((model.dof, len(parameters)))
         # Rows depend on which contacts touch something, if that is known.
         for touching in possible_states(model) or (None,):
@@ -187,7 +185,7 @@ def random_motions(model: RobotModel, count: int) -> Samples:
     motion = rng.normal(size=base) if model.floating else np.zeros(base)
     if not model.floating:
         motion[2] = -model.gravity
-    return Samples(
+    random = Samples(
         stamp=np.arange(count, dtype=np.int64),
         position=model.apply_mimics(rng.uniform(-np.pi, np.pi, joints)),
         velocity=model.apply_mimics(rng.normal(size=joints), rates=True),
@@ -199,3 +197,6 @@ def random_motions(model: RobotModel, count: int) -> Samples:
         wrenches=np.zeros((count, 0, 6)),
         wrench_frames=(),
     )
+    # A joint reverses in too few of these motions for the friction about a reversal to show.
+    reversing = rng.uniform(-1.0, 1.0, (2, *joints))
+    return replace(random, leading=np.sign(reversing[0]), creeping=reversing[1])
