@@ -312,7 +312,8 @@ def _weight_findings(
 ) -> Iterator[Finding]:
     """Yield a finding if wrenches that agree with the efforts carry another mass than the model's.
 
-    Gains that all differ from one alike are no fault of a sensor, and links adapt to them.
+    Where all gains differ from one by the same factor, no single sensor is at fault, and the masses
+    of the links would change by that factor.
     """
     if is_plausible_mass(share):
         return

@@ -180,7 +180,7 @@ def test_wrenches_that_weigh_another_robot_doubt_its_masses(carried, density, ti
     ],
 )
 def test_wrenches_that_carry_another_mass_alone_are_named(share, says):
-    """Gains alike that differ from one are no fault of a sensor."""
+    """A factor that all gains have in common is no fault of a single sensor."""
     verdict = Robot(left=abs(1 - share), mass_ratio=share).verdict()
     if says is None:
         assert not verdict.findings

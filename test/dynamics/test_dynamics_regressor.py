@@ -18,7 +18,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 
-# Friction that leads differs from Coulomb friction in too few random motions.
+# Random motions are too fast for the two terms of simulated joints.
 REAL_TERMS = tuple(term for term in TERMS if term not in SIMULATED_TERMS)
 ROBOTS = Path(pinocchio.__file__).parents[4] / "share/example-robot-data/robots"
 REAL = {
