@@ -17,7 +17,7 @@ from scipy.special import chdtri
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Term
-from symbid_ros.dynamics.regressor import COULOMB_SPEED, by_kind, stribeck_column
+from symbid_ros.dynamics.friction import COULOMB_SPEED, by_kind, stribeck_column
 from symbid_ros.estimation.constraints import Bounds
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.physical_consistency import ConsistentSolution, consistent_minimum

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.regressor import by_kind, equation_of_motion
+from symbid_ros.dynamics.friction import by_kind
+from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import without_contacts
 from symbid_ros.model.parameters import ParameterSet

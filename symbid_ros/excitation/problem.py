@@ -8,7 +8,8 @@ from scipy.ndimage import minimum_filter1d
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Term
-from symbid_ros.dynamics.regressor import equation_of_motion, slipping
+from symbid_ros.dynamics.friction import slipping
+from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.prior import Prior, planning_prior
 from symbid_ros.excitation.clearance import Clearance

@@ -12,7 +12,8 @@ from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SLIDING_TERMS
-from symbid_ros.dynamics.regressor import Rows, equation_of_motion, slipping
+from symbid_ros.dynamics.friction import slipping
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import contact_states, contacts_of_state
 from symbid_ros.model.parameters import ParameterSet

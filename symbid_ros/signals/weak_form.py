@@ -20,15 +20,13 @@ from scipy.sparse import csr_array, vstack
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SIMULATED_TERMS, SLIDING_TERMS
-from symbid_ros.dynamics.regressor import (
-    Rows,
-    averaged_equation_of_motion,
+from symbid_ros.dynamics.friction import (
     coulomb_column,
     creeping_column,
     friction_state,
-    has_linear_rows,
     leading_column,
 )
+from symbid_ros.dynamics.regressor import Rows, averaged_equation_of_motion, has_linear_rows
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet

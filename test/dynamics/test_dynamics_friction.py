@@ -10,18 +10,18 @@ from hypothesis import strategies as st
 from random_robots import CONFIG, random_robot, random_samples, with_drives
 
 from symbid_ros.choices import TERMS as ALL_TERMS
-from symbid_ros.dynamics.regressor import (
+from symbid_ros.dynamics.friction import (
     COULOMB_RAMP,
     COULOMB_SPEED,
     PRESLIDING_TRAVEL,
     by_kind,
     coulomb_column,
-    equation_of_motion,
     friction_state,
     is_slipping,
     lead_column,
     presliding_column,
 )
+from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model

@@ -10,8 +10,9 @@ import pytest
 from random_robots import CONFIG, random_robot, random_samples, with_drives
 
 from symbid_ros.choices import SIMULATED_TERMS, TERMS
+from symbid_ros.dynamics.friction import is_slipping
 from symbid_ros.dynamics.kinematics import CACHE_BLOCK
-from symbid_ros.dynamics.regressor import equation_of_motion, equation_residual, is_slipping
+from symbid_ros.dynamics.regressor import equation_of_motion, equation_residual
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_robots import random_robot
 
-from symbid_ros.dynamics.regressor import COULOMB_SPEED, by_kind, coulomb_column, stribeck_column
+from symbid_ros.dynamics.friction import COULOMB_SPEED, by_kind, coulomb_column, stribeck_column
 from symbid_ros.estimation.passive_drives import (
     FASTEST,
     breakaway_bounds,

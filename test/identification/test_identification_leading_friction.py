@@ -8,7 +8,7 @@ import pytest
 from drive_logs import arm
 
 import symbid_ros as sy
-from symbid_ros.dynamics.regressor import CREEP_SPEED, coulomb_column, creep_column, lead_column
+from symbid_ros.dynamics.friction import CREEP_SPEED, coulomb_column, creep_column, lead_column
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.export_mjcf import mjcf_text
 

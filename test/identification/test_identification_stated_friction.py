@@ -9,7 +9,7 @@ import pinocchio
 import pytest
 from tree_simulation import TreeSimulation
 
-from symbid_ros.dynamics.regressor import is_slipping
+from symbid_ros.dynamics.friction import is_slipping
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.predictions.evaluation import evaluate, predict, sticking_share
 from symbid_ros.identification.predictions.realistic_prediction import (

@@ -11,7 +11,8 @@ from expected_errors import raises_code
 from random_robots import random_robot, with_drives
 from scipy.sparse import csr_array
 
-from symbid_ros.dynamics.regressor import Rows, is_slipping
+from symbid_ros.dynamics.friction import is_slipping
+from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.signals.filters import LowPass

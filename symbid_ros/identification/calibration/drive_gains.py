@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.dynamics.regressor import Rows, coulomb_column, equation_of_motion
+from symbid_ros.dynamics.friction import coulomb_column
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.model.parameters import ParameterSet

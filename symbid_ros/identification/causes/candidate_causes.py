@@ -12,15 +12,15 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS, UNSEEN_WITH_CONTACTS
-from symbid_ros.dynamics.kinematics import link_poses, rotate
-from symbid_ros.dynamics.regressor import (
-    Rows,
+from symbid_ros.dynamics.friction import (
     coulomb_column,
     creeping_column,
     friction_state,
     leading_column,
     stribeck_column,
 )
+from symbid_ros.dynamics.kinematics import link_poses, rotate
+from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.dynamics.upright import upward
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem

@@ -8,6 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, concatenated
 from symbid_ros.choices import SLIDING_TERMS
+from symbid_ros.dynamics.friction import slipping
 from symbid_ros.dynamics.inertial_rows import generalised_force
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses, rotate, rotate_inverse
 from symbid_ros.dynamics.regressor import (
@@ -15,7 +16,6 @@ from symbid_ros.dynamics.regressor import (
     first_moment_regressor,
     known_force,
     momentum_regressor,
-    slipping,
 )
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import BagError

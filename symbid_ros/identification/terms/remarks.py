@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.dynamics.regressor import COULOMB_SPEED, equation_of_motion
+from symbid_ros.dynamics.friction import COULOMB_SPEED
+from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.unmeasured_contacts import combined_coordinates
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import random_motions
