@@ -280,9 +280,12 @@ def _downsample(segment: Segment) -> Segment:
         return segment
     low_pass = LowPass(PASSED * segment.rate / stride, passes=1)
     downsample = Decimator(segment.rate, stride, low_pass, low_pass.cutoff, 0).force
+    starts = np.arange(0, len(segment), stride)
+    stopped = segment.stopped
     return replace(
         segment,
         stamp=segment.stamp[::stride],
+        stopped=None if stopped is None else np.logical_or.reduceat(stopped, starts),
         rate=segment.rate / stride,
         position=downsample(segment.position),
         effort=downsample(segment.effort),

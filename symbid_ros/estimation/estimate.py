@@ -164,6 +164,8 @@ class Estimate:
     force_only : tuple of str
         ``FRAME:RADIUS`` of each foot sensor that measures forces alone, at the lowest point of a
         ball.
+    end_stops : tuple of str
+        Joints that leaned on the ends of their ranges, where their rows were left out.
     gravity : (3,) tuple of float, or None
         Gravity in the axes of a fixed base, m/s²; None for a floating base, and in files of
         earlier releases.
@@ -204,6 +206,7 @@ class Estimate:
     courses: tuple[Course, ...] = ()
     contacts: tuple[str, ...] = ()
     force_only: tuple[str, ...] = ()
+    end_stops: tuple[str, ...] = ()
     gravity: tuple[float, ...] | None = None
     held_joints: dict[str, float] = field(default_factory=dict)
     provenance: Provenance | None = None

@@ -20,6 +20,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.conventions.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.conventions.base_gravity import find_gravity, searches_gravity
+from symbid_ros.identification.conventions.end_stops import with_found_end_stops
 from symbid_ros.identification.conventions.joint_readings import JointReadings, find_readings
 from symbid_ros.identification.conventions.missing_inertia import (
     find_missing_inertia,
@@ -41,7 +42,7 @@ from symbid_ros.signals.joined_log import as_one_log
 from symbid_ros.signals.log import Log
 
 # Options that an identification sets if the log shows them.
-FOUND_IN_LOGS = "contact", "gravity", "force_only"
+FOUND_IN_LOGS = "contact", "gravity", "force_only", "end_stops"
 
 
 @on_one_blas_thread
@@ -148,6 +149,8 @@ def diagnose(
     options = with_assumed_contacts(options, robot, log)
     robot = with_robot_options(robot, options)
     found, segments = None, first_segments(log, robot)
+    options = with_found_end_stops(options, robot, segments, log.source)
+    robot = robot.with_end_stops(options.end_stop_joints)
     if not robot.floating and (degrees := find_degrees(segments, robot)) is not None:
         diagnosis = doctor.diagnose(log, robot)
         if any(one.kind is Kind.UNIT for one in diagnosis.findings):

@@ -24,6 +24,7 @@ def with_robot_options(robot: RobotModel, options: RobotOptions) -> RobotModel:
         When the direction of gravity is given for a floating base.
     """
     robot = robot.with_gravity(options.gravity).with_force_only(options.force_only_sensors)
+    robot = robot.with_end_stops(options.end_stop_joints)
     return with_contacts(with_wrist_sensors(robot, options.wrist_sensors), options.contacts)
 
 

@@ -23,6 +23,7 @@ from symbid_ros.identification.calibration.tares import Tare, read_tare
 from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.conventions.assumed_contacts import with_assumed_contacts
 from symbid_ros.identification.conventions.base_gravity import with_found_gravity
+from symbid_ros.identification.conventions.end_stops import with_found_end_stops
 from symbid_ros.identification.conventions.foot_moments import with_found_moments
 from symbid_ros.identification.conventions.position_units import refuse_degrees
 from symbid_ros.identification.identification import Identification
@@ -266,7 +267,8 @@ def _corrected(
         return options
     model, segments = parameters.model, dataset.segments
     options = with_found_gravity(options, model, segments, dataset.source)
-    return with_found_moments(options, model, segments, dataset.source)
+    options = with_found_moments(options, model, segments, dataset.source)
+    return with_found_end_stops(options, model, segments, dataset.source)
 
 
 def _digests(robot: RobotModel, options: IdentifyOptions, log: Log | None = None) -> InputDigests:

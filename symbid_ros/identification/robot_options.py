@@ -49,6 +49,14 @@ class RobotOptions(MountingOptions):
         unset="those with a ball whose moments are zero in the log, if the log shows the radius",
     )
 
+    end_stops: tuple[str, ...] = option(
+        (),
+        "Joints that lean on the ends of their ranges in the model, comma-separated. Their rows "
+        "there are left out, because no sensor measures the force of an end stop. none: no joint.",
+        group=GROUP,
+        unset="those at an end of which the log shows such a force",
+    )
+
     def __post_init__(self) -> None:
         """Refuse invalid values."""
         super().__post_init__()
@@ -79,6 +87,12 @@ class RobotOptions(MountingOptions):
     def force_only_sensors(self) -> tuple[str, ...]:
         """The sensors that measure forces alone, as FRAME or FRAME:RADIUS."""
         found = tuple(names(self.force_only))
+        return () if found == ("none",) else found
+
+    @cached_property
+    def end_stop_joints(self) -> tuple[str, ...]:
+        """The joints that lean on the ends of their ranges."""
+        found = tuple(names(self.end_stops))
         return () if found == ("none",) else found
 
 

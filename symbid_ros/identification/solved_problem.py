@@ -469,6 +469,7 @@ class SolvedProblem:
             courses=tuple(one for one in parameters.courses if one[0] >= 0),  # of this log
             contacts=() if contacts is None else contacts.names,
             force_only=force_only_sensors(parameters.model),
+            end_stops=parameters.model.end_stops,
             gravity=None if parameters.model.floating else tuple(parameters.model.gravity.tolist()),
             held_joints=held_positions(parameters.model),
         )

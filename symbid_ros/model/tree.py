@@ -87,6 +87,8 @@ class Joint:
         m. Only an MJCF can have it.
     mimic : Mimic or None
         The joint that it follows. Its generalised force is added to its leader's.
+    has_stops : bool
+        Whether the ends of its range bear load in a log, which no sensor measures.
     sensor : str
         Frame of the wrist force/torque sensor of which this joint is one component, with a minus
         before it if the sensor reads the opposite wrench; empty for a joint that moves. See
@@ -111,6 +113,7 @@ class Joint:
     speed: float = np.inf
     stiffness: float = 0.0
     spring_reference: float = 0.0
+    has_stops: bool = False
 
 
 @dataclass(frozen=True)
@@ -490,6 +493,30 @@ class RobotModel:
                 )
         frames = (replace(one, below=below.get(one.name, one.below)) for one in self.frames)
         return replace(self, frames=tuple(frames))
+
+    def with_end_stops(self, joints: Sequence[str]) -> "RobotModel":
+        """Return the same robot of which some joints lean on the ends of their ranges.
+
+        Raises
+        ------
+        ModelError
+            When the robot has no such joint, or the joint has no end.
+        """
+        for name in joints:
+            joint = next((one for one in self.joints if one.name == name), None)
+            if joint is None or not (np.isfinite(joint.lower) or np.isfinite(joint.upper)):
+                raise ModelError(
+                    f"{self.source}: `end_stops`: {name} is no joint with a limited range; name "
+                    "joints that have limits in the model",
+                    "E125",
+                )
+        found = (replace(one, has_stops=one.name in joints) for one in self.joints)
+        return replace(self, joints=tuple(found)) if joints else self
+
+    @cached_property
+    def end_stops(self) -> tuple[str, ...]:
+        """Joints that lean on the ends of their ranges."""
+        return tuple(joint.name for joint in self.joints if joint.has_stops)
 
     def with_gravity(self, direction: Sequence[float] | None) -> "RobotModel":
         """Return the same robot on which gravity points in another direction (3,), in base axes.

@@ -19,6 +19,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.ball_moments import with_moments_of_balls
 from symbid_ros.signals.defects import typical_period
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
+from symbid_ros.signals.end_stops import at_end_stops
 from symbid_ros.signals.joint_clock import sampled_joints
 from symbid_ros.signals.required_sensors import check_sensors
 from symbid_ros.signals.segments import Segment
@@ -265,10 +266,11 @@ def _segment(
         else:
             # A joint's effort acts on what lies beyond it, a reading on what lies before.
             effort[:, place] = -reading
+    position = position_and_effort[:, :joints]
     return Segment(
         stamp=grid,
         rate=1e9 / period,
-        position=position_and_effort[:, :joints],
+        position=position,
         effort=effort,
         angular_velocity=readings[:, :, :3],
         linear_acceleration=readings[:, :, 3:],
@@ -276,6 +278,7 @@ def _segment(
         imu_frames=tuple(imu.frame_id for imu in streams.imus),
         wrench_frames=tuple(one.frame_id for one in streams.wrenches if one.topic in contacts),
         touching=_touching(streams, grid, model),
+        stopped=at_end_stops(position, model.joints) if model.end_stops else None,
         poses=np.stack([one.at(grid) for one in streams.poses], axis=1) if streams.poses else None,
         pose_frames=tuple(one.frame_id for one in streams.poses),
         sensor_rates=tuple(sensor_rates),

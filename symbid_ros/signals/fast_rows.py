@@ -27,6 +27,7 @@ from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import (
     WINDOWS,
     equation_rows,
+    free_of_stops,
     hann_weights,
     window_centres,
 )
@@ -249,6 +250,8 @@ class FastRows:
         )
         y = np.stack([one.y + 1j * two.y for one, two in waves])
         middle = np.searchsorted(time, centres)
+        stamp = readings.stamp[0] + np.rint(1e9 * centres).astype(np.int64)
+        is_free = free_of_stops(block, stamp, LENGTH, mean)
         channels = Channels(
             block.position.shape[1], len(block.imu_frames), len(block.wrench_frames)
         )
@@ -259,7 +262,7 @@ class FastRows:
             noise_below_motion(channels.values(block), block.rate),
             K.swapaxes(0, 1).astype(np.complex64),
             y.swapaxes(0, 1),
-            mean.valid > least_slipping(LENGTH),
+            (mean.valid > least_slipping(LENGTH)) & is_free,
             readings[middle],
         )
 

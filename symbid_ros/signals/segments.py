@@ -41,6 +41,8 @@ class Segment:
         Frames of the I IMUs and F wrench sensors.
     touching : (M, C) bool or None
         Which contacts without a sensor touch something; None if all may.
+    stopped : (M, J) bool or None
+        Which joints lean on an end stop; None if none does.
     poses : (M, P, 7) float64 or None
         Position (m) and quaternion xyzw of tracked frames in the world, NaN where they are not
         measured; None if none is tracked.
@@ -60,6 +62,7 @@ class Segment:
     imu_frames: tuple[str, ...]
     wrench_frames: tuple[str, ...]
     touching: BoolArray | None = None
+    stopped: BoolArray | None = None
     poses: FloatArray | None = None
     pose_frames: tuple[str, ...] = ()
     sensor_rates: tuple[float, ...] = ()

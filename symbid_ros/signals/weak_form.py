@@ -118,12 +118,13 @@ class WindowedRows:
 
     def slipping(self) -> "WindowedRows":
         """Return the same windows without the rows of joints that may stick."""
-        if self.slips is None:
-            return self
-        mean, noise = self.mean.masked(self.slips), self.noise
-        if noise is not None:
-            noise = noise.masked(self.slips)
-        return WindowedRows(mean, noise, self.slips, self.stamp)
+        return self if self.slips is None else replace(self.only(self.slips), slips=None)
+
+    def only(self, some: BoolArray) -> "WindowedRows":
+        """Return the same windows with the rows ``some`` (N, n) alone."""
+        noise = None if self.noise is None else self.noise.masked(some)
+        slips = None if self.slips is None else self.slips & some
+        return WindowedRows(self.mean.masked(some), noise, self.valid & some, self.stamp, slips)
 
 
 class AveragingRows(ABC):
@@ -338,9 +339,15 @@ def block_rows(
         more = samples(add_noise(block, noisy_channels), (block, readings))
         noisy = _averages_of(build, more, weights)
     stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
-    return tuple(
+    found = tuple(
         _windowed_rows_of(one, other, stamp, window, represented)
         for one, other, stamp, window in zip(mean, noisy, stamps, windows, strict=True)
+    )
+    if block.stopped is None:
+        return found
+    return tuple(
+        rows.only(free_of_stops(block, rows.stamp, window, one))
+        for rows, window, one in zip(found, windows, mean, strict=True)
     )
 
 
@@ -460,3 +467,36 @@ def _windowed_rows_of(
         scale = np.sqrt(represented)
         noise = Rows(scale * (noisy.K - mean.K), scale * (noisy.y - mean.y)).masked(valid)
     return WindowedRows(Rows(mean.K, mean.y).masked(valid), noise, valid, stamp, slips)
+
+
+def free_of_stops(block: Segment, stamp: IntArray, window: float, mean: Average) -> BoolArray:
+    """Return which rows (W, n) no force of an end stop enters at any time of windows.
+
+    The efforts are filtered, so the force is felt a little longer than the stop is touched.
+
+    Parameters
+    ----------
+    block : Segment
+    stamp : (W,) int64
+        Centres of the windows, ns.
+    window : float
+        Their length, s.
+    mean : Average
+        Of the rows.
+    """
+    is_free = np.ones((len(stamp), mean.y.shape[1]), dtype=bool)
+    if block.stopped is None:
+        return is_free
+    low_pass, _ = prefilter(block.rate)
+    reach = round(1e9 * (window / 2 + 1 / low_pass.cutoff))
+    first = np.searchsorted(block.stamp, stamp - reach)
+    last = np.searchsorted(block.stamp, stamp + reach, side="right")
+    before = np.cumsum(np.pad(block.stopped.astype(np.int64), ((1, 0), (0, 0))), axis=0)
+    stopped = before[last] > before[first]
+    joints = slice(is_free.shape[1] - stopped.shape[1], None)
+    is_free[:, joints] = ~stopped
+    contacts = None if mean.combined is None else mean.combined.model.contacts
+    if contacts is not None:
+        loaded = np.asarray(contacts.loads.any(axis=0))
+        is_free[:, loaded] &= ~np.any(stopped & loaded[joints], axis=1, keepdims=True)
+    return is_free

@@ -152,6 +152,7 @@ class ForcePredictor:
         saved = load_estimate(folder / "estimate.json")
         found = load_estimated_model(folder, load_result_robot(folder, saved))
         model = found.parameters.model.with_force_only(saved.force_only)
+        model = model.with_end_stops(saved.end_stops)
         model = with_all_rows(with_contacts(model, saved.contacts))
         found = replace(found, parameters=replace(found.parameters, model=model))
         estimate = found.estimate
