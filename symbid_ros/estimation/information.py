@@ -20,9 +20,13 @@ from scipy.sparse import csr_array
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import DataError
+from symbid_ros.estimation.column_groups import ColumnGroups
 from symbid_ros.estimation.qr_update import fold_rows
 from symbid_ros.estimation.row_layout import RowLayout
 
+# Width of flat rows from which moments of all pairs of columns take longer than those of the few
+# weights that an identification tries, and hundreds of MB for each window length.
+WIDE = 4000
 # Rows that are folded at once: LAPACK takes half the time per row for many as for few.
 ROWS_AT_ONCE = 512
 
@@ -152,9 +156,16 @@ class Information:
         It has half the digits of :meth:`whitened` and takes a hundredth of its time. It serves
         quantities that are only estimated, and intermediate iterations.
         """
+        if self._is_wide:
+            return self.layout.column_groups.whitened_moment(self.factor, precision)
         width = len(self.layout.parameters) + 1
         half: FloatArray = (self._products @ precision.ravel()).reshape(width, width)
         return half + half.T
+
+    @property
+    def _is_wide(self) -> bool:
+        """Whether moments are those of the rows themselves, without all pairs of columns."""
+        return self.layout.width > WIDE
 
     def _columns(self, place: slice) -> FloatArray:
         """Return the factor's columns of one coordinate, without the zeros below a triangle."""
@@ -198,11 +209,15 @@ class Information:
 
     def approximate_residual_moment(self, phi: FloatArray) -> FloatArray:
         """Return :meth:`residual_moment` with half the digits, in a fifth of the time."""
+        if self._is_wide:
+            return self.residual_moment(phi)
         residual = np.append(-phi, 1.0)
         return self.quadratic_moment(np.outer(residual, residual))
 
     def quadratic_moment(self, matrix: FloatArray) -> FloatArray:
         """Return Σ [K y] X [K y]ᵀ (n, n) over all samples for a symmetric X (p + 1, p + 1)."""
+        if self._is_wide:
+            return self.layout.column_groups.quadratic_moment(self.factor, matrix)
         n = len(self.layout.coordinates)
         half: FloatArray = (self._products.T @ matrix.ravel()).reshape(n, n)
         return half + half.T
@@ -232,10 +247,27 @@ class _Restriction(Information):
     @cached_property
     def factor(self) -> FloatArray:
         """R (r, w) with RᵀR = Σ rowᵀ row."""
+        return compressed(self._whole.factor[:, np.concatenate(self._places)])
+
+    @property
+    def _places(self) -> list[IntArray]:
+        """Of each coordinate's columns in the flat rows of the whole, y last."""
         is_kept = np.zeros(len(self._whole.layout.parameters), dtype=bool)
         is_kept[self._kept] = True
-        used = [np.append(is_kept[columns], True) for columns in self._whole.layout.columns]
-        return compressed(self._whole.factor[:, np.concatenate(used)])
+        whole = self._whole.layout
+        return [
+            place.start + np.flatnonzero(np.append(is_kept[columns], True))
+            for columns, place in zip(whole.columns, whole.slices, strict=True)
+        ]
+
+    @cached_property
+    def _groups(self) -> ColumnGroups:
+        return ColumnGroups(self.layout.structure, self._places)
+
+    @property
+    def _is_wide(self) -> bool:
+        # Others have rows beside their factor.
+        return type(self._whole) is Information and self._whole._is_wide
 
     def discounted(self, share: float) -> Information:
         """Return the information with every row's weight times ``share``, from 0 to 1."""
@@ -256,6 +288,8 @@ class _Restriction(Information):
 
     def whitened_moment(self, precision: FloatArray) -> FloatArray:
         """Return Σ [K y]ᵀ P [K y] (p + 1, p + 1) for a precision P (n, n) across coordinates."""
+        if self._is_wide:
+            return self._groups.whitened_moment(self._whole.factor, precision)
         moment: FloatArray = self._whole.whitened_moment(precision)[self._block]
         return moment
 
@@ -267,6 +301,8 @@ class _Restriction(Information):
 
     def quadratic_moment(self, matrix: FloatArray) -> FloatArray:
         """Return Σ [K y] X [K y]ᵀ (n, n) over all samples for a symmetric X (p + 1, p + 1)."""
+        if self._is_wide:
+            return self._groups.quadratic_moment(self._whole.factor, matrix)
         width = len(self._whole.layout.parameters) + 1
         whole = np.zeros((width, width))
         whole[self._block] = matrix

@@ -13,6 +13,7 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import combined_coordinates, possible_states
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.column_groups import ColumnGroups
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
@@ -115,6 +116,11 @@ class RowLayout:
             slice(int(end) - len(columns) - 1, int(end))
             for end, columns in zip(ends, self.columns, strict=True)
         )
+
+    @cached_property
+    def column_groups(self) -> ColumnGroups:
+        """The columns of [K y], by the coordinates in which they are non-zero."""
+        return ColumnGroups(self.structure, [np.arange(one.start, one.stop) for one in self.slices])
 
     @cached_property
     def _moment_pattern(self) -> csr_array:
