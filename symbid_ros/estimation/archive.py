@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.atomic_write import write_through
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.group_moments import GROUPS, CoordinateMoments, GroupMoments
+from symbid_ros.estimation.group_moments import (
+    GROUPS,
+    CoordinateMoments,
+    CoordinateRows,
+    GroupMoments,
+)
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import RowLayout
@@ -139,7 +144,7 @@ def _stored_factor(information: Information) -> FloatArray:
     return factor[np.triu_indices(width)] if len(factor) == width else factor.ravel()
 
 
-def _stored_moments(part: CoordinateMoments, layout: RowLayout) -> FloatArray:
+def _stored_moments(part: CoordinateMoments | CoordinateRows, layout: RowLayout) -> FloatArray:
     """Return the moments (GROUPS, ...) of a coordinate; one half if they are symmetric."""
     width = len(layout.columns[part.coordinate]) + 1
     if len(part.left) < width:

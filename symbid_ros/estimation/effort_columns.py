@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.estimation.group_moments import CoordinateMoments, GroupMoments
+from symbid_ros.estimation.group_moments import CoordinateMoments, CoordinateRows, GroupMoments
 from symbid_ros.estimation.information import Information, compressed
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.row_layout import RowLayout
@@ -119,9 +119,13 @@ def _combined(
 def _combined_moments(
     moments: GroupMoments, layout: RowLayout, combinations: Sequence[FloatArray]
 ) -> GroupMoments:
-    parts = []
+    parts: list[CoordinateMoments | CoordinateRows] = []
     for part in moments.parts:
         one = combinations[part.coordinate]
+        if isinstance(part, CoordinateRows):
+            rows = [each @ one for each in part.rows]
+            parts.append(CoordinateRows.compact(part.coordinate, rows))
+            continue
         before, after = one.shape
         sums = part.moments @ one
         if len(part.left) == before:

@@ -90,21 +90,109 @@ class CoordinateMoments:
         variance : float
             Of a residual.
         """
-        used = np.flatnonzero(counts > 0)
         is_column = self.left < len(phi)
         left = self.left[is_column]
-        if len(used) < 2 or not len(left) or variance <= 0:
-            return np.nan
-        moments = self.moments[used][:, is_column]
-        squares = moments[:, np.arange(len(left)), left].sum(axis=0)
-        moves = squares > 1e-12 * squares.max(initial=0.0)
-        if not moves.any():
-            return np.nan
-        share = counts[used] / counts.sum()
-        scores = moments @ np.append(-phi, 1.0)
-        scores = scores - share[:, None] * scores.sum(axis=0)
-        found = np.sum(scores[:, moves] ** 2, axis=0) / (1 - np.sum(share**2))
-        return float(np.mean(found / (variance * squares[moves])))
+        moments = self.moments[:, is_column]
+        squares = moments[:, np.arange(len(left)), left]
+        return _ratio(moments @ np.append(-phi, 1.0), squares, counts, variance)
+
+    def folded(self, rows: FloatArray, ends: Sequence[int]) -> "CoordinateMoments":
+        """Return the moments with more rows (N, c + 1), those of a group between two ends."""
+        moments = self.moments.copy()
+        is_complete = len(self.left) == rows.shape[1]
+        for one, (start, stop) in enumerate(pairwise(ends)):
+            if start < stop:
+                some = rows[start:stop]
+                moments[one] += (some if is_complete else some[:, self.left]).T @ some
+        return replace(self, moments=moments)
+
+    def discounted(self, share: float) -> "CoordinateMoments":
+        """Return the moments with every row's weight times ``share``."""
+        return replace(self, moments=share * self.moments)
+
+    def restricted(self, kept: BoolArray) -> "CoordinateMoments":
+        """Return the moments of the columns ``kept`` (c,), and of y."""
+        used = np.append(kept, True)
+        place, some = np.cumsum(used) - 1, used[self.left]
+        moments = self.moments[:, some][:, :, used]
+        return CoordinateMoments(self.coordinate, place[self.left[some]], moments)
+
+
+@dataclass(frozen=True)
+class CoordinateRows:
+    """Rows of one coordinate in each group, which stand for all their moments if they are few.
+
+    Attributes
+    ----------
+    coordinate : int
+    rows : tuple of (m, c + 1) float64
+        Rows [K_i y_i] of each group.
+    """
+
+    coordinate: int
+    rows: tuple[FloatArray, ...]
+
+    @classmethod
+    def compact(
+        cls, coordinate: int, rows: Sequence[FloatArray]
+    ) -> "CoordinateRows | CoordinateMoments":
+        """Return the rows, or their moments where a group has more rows than columns."""
+        found = cls(coordinate, tuple(rows))
+        width = rows[0].shape[1]
+        if max(map(len, rows)) <= width:
+            return found
+        return CoordinateMoments(coordinate, found.left, found.moments)
+
+    @property
+    def left(self) -> IntArray:
+        """Places of all c + 1 columns."""
+        return np.arange(self.rows[0].shape[1])
+
+    @property
+    def moments(self) -> FloatArray:
+        """(GROUPS, c + 1, c + 1) Σ [K_i y_i]ᵀ [K_i y_i]."""
+        return np.array([one.T @ one for one in self.rows])
+
+    def ratio(self, phi: FloatArray, counts: FloatArray, variance: float) -> float:
+        """Return what :meth:`CoordinateMoments.ratio` does."""
+        scores = np.array([one[:, :-1].T @ (one[:, -1] - one[:, :-1] @ phi) for one in self.rows])
+        squares = np.array([np.sum(one[:, :-1] ** 2, axis=0) for one in self.rows])
+        return _ratio(scores, squares, counts, variance)
+
+    def folded(self, rows: FloatArray, ends: Sequence[int]) -> "CoordinateRows | CoordinateMoments":
+        """Return the rows with more (N, c + 1), those of a group between two ends."""
+        more = [rows[start:stop] for start, stop in pairwise(ends)]
+        return self.compact(
+            self.coordinate, [np.concatenate(both) for both in zip(self.rows, more, strict=True)]
+        )
+
+    def discounted(self, share: float) -> "CoordinateRows":
+        """Return the rows with every row's weight times ``share``."""
+        return replace(self, rows=tuple(np.sqrt(share) * one for one in self.rows))
+
+    def restricted(self, kept: BoolArray) -> "CoordinateRows | CoordinateMoments":
+        """Return the rows of the columns ``kept`` (c,), and of y."""
+        used = np.append(kept, True)
+        return self.compact(self.coordinate, [one[:, used] for one in self.rows])
+
+
+def _ratio(scores: FloatArray, squares: FloatArray, counts: FloatArray, variance: float) -> float:
+    """Return the variance of scores (GROUPS, k) over that of independent residuals.
+
+    ``squares`` (GROUPS, k) are those of the columns, and ``counts`` (GROUPS,) numbers of rows. The
+    ratio is NaN if it is unknown.
+    """
+    used = np.flatnonzero(counts > 0)
+    if len(used) < 2 or not scores.shape[1] or variance <= 0:
+        return np.nan
+    squares, scores = squares[used].sum(axis=0), scores[used]
+    moves = squares > 1e-12 * squares.max(initial=0.0)
+    if not moves.any():
+        return np.nan
+    share = counts[used] / counts.sum()
+    scores = scores - share[:, None] * scores.sum(axis=0)
+    found = np.sum(scores[:, moves] ** 2, axis=0) / (1 - np.sum(share**2))
+    return float(np.mean(found / (variance * squares[moves])))
 
 
 @dataclass(frozen=True)
@@ -115,7 +203,7 @@ class GroupMoments:
     ----------
     layout : RowLayout
         Layout of the rows.
-    parts : tuple of CoordinateMoments
+    parts : tuple of CoordinateMoments or CoordinateRows
         Of each coordinate that has columns.
     counts : (GROUPS, n) float64
         Valid rows of each coordinate in each group.
@@ -123,7 +211,7 @@ class GroupMoments:
     """
 
     layout: RowLayout
-    parts: tuple[CoordinateMoments, ...]
+    parts: tuple[CoordinateMoments | CoordinateRows, ...]
     counts: FloatArray
     grouping: Grouping = BY_SECONDS
 
@@ -133,21 +221,23 @@ class GroupMoments:
     ) -> "GroupMoments":
         """Return the moments of no data; all moments of joints whose terms are candidates."""
         complete = layout.term_coordinates if candidates else frozenset()
-        parts = []
+        parts: list[CoordinateMoments | CoordinateRows] = []
         for coordinate, columns in enumerate(layout.columns):
             count = len(columns)
             if not count:
                 continue
-            left = np.arange(count + 1)
-            if coordinate not in complete:
-                left = np.unique(np.linspace(0, count - 1, min(COLUMNS, count)).astype(int))
+            if coordinate in complete:
+                nothing = np.zeros((0, count + 1))
+                parts.append(CoordinateRows(coordinate, (nothing,) * GROUPS))
+                continue
+            left = np.unique(np.linspace(0, count - 1, min(COLUMNS, count)).astype(int))
             parts.append(
                 CoordinateMoments(coordinate, left, np.zeros((GROUPS, len(left), count + 1)))
             )
         return cls(layout, tuple(parts), np.zeros((GROUPS, len(layout.coordinates))), grouping)
 
     @property
-    def complete(self) -> tuple[CoordinateMoments, ...]:
+    def complete(self) -> tuple[CoordinateMoments | CoordinateRows, ...]:
         """The coordinates with all moments, those of joints whose terms are candidates."""
         columns = self.layout.columns
         return tuple(
@@ -175,33 +265,27 @@ class GroupMoments:
         np.add.at(counts, group, valid)
         order = np.argsort(group, kind="stable")
         flat, ends = flat[order], np.searchsorted(group[order], np.arange(GROUPS + 1)).tolist()
-        sums = [each.moments.copy() for each in self.parts]
-        for each, part in zip(sums, self.parts, strict=True):
-            own = flat[:, self.layout.slices[part.coordinate]]
-            is_complete = len(part.left) == own.shape[1]
-            for one, (start, stop) in enumerate(pairwise(ends)):
-                if start < stop:
-                    some = own[start:stop]
-                    each[one] += (some if is_complete else some[:, part.left]).T @ some
-        return self._with(sums, counts)
-
-    def _with(self, sums: Iterable[FloatArray], counts: FloatArray) -> "GroupMoments":
-        parts = tuple(
-            replace(part, moments=each) for part, each in zip(self.parts, sums, strict=True)
+        parts = (
+            part.folded(flat[:, self.layout.slices[part.coordinate]], ends) for part in self.parts
         )
-        return replace(self, parts=parts, counts=counts)
+        return replace(self, parts=tuple(parts), counts=counts)
 
     def discounted(self, share: float) -> "GroupMoments":
         """Return the moments with every row's weight times ``share``, from 0 to 1."""
-        return self._with((share * each.moments for each in self.parts), share * self.counts)
+        parts = tuple(part.discounted(share) for part in self.parts)
+        return replace(self, parts=parts, counts=share * self.counts)
 
     def merge(self, other: "GroupMoments") -> "GroupMoments":
         """Return the sum of both, which have the same layout, where both have moments."""
         others = {each.coordinate: each for each in other.parts}
-        parts = []
+        parts: list[CoordinateMoments | CoordinateRows] = []
         for one in self.parts:
             two = others.get(one.coordinate)
             if two is None:
+                continue
+            if isinstance(one, CoordinateRows) and isinstance(two, CoordinateRows):
+                both = map(np.concatenate, zip(one.rows, two.rows, strict=True))
+                parts.append(CoordinateRows.compact(one.coordinate, list(both)))
                 continue
             left, here, there = np.intersect1d(one.left, two.left, return_indices=True)
             moments = one.moments[:, here] + two.moments[:, there]
@@ -210,14 +294,11 @@ class GroupMoments:
 
     def restricted(self, layout: RowLayout) -> "GroupMoments":
         """Return the moments for a layout with some of the parameters, the others being zero."""
-        parts, places = [], _places(self.layout, layout)
-        for part in self.parts:
-            kept = np.isin(self.layout.columns[part.coordinate], places)
-            used = np.append(kept, True)
-            place = np.cumsum(used) - 1
-            some = used[part.left]
-            moments = part.moments[:, some][:, :, used]
-            parts.append(CoordinateMoments(part.coordinate, place[part.left[some]], moments))
+        places = _places(self.layout, layout)
+        parts = (
+            part.restricted(np.isin(self.layout.columns[part.coordinate], places))
+            for part in self.parts
+        )
         return replace(self, layout=layout, parts=tuple(parts))
 
     def correlation(self, phi: FloatArray, variance: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SPRING, Term
-from symbid_ros.estimation.group_moments import CoordinateMoments, GroupMoments
+from symbid_ros.estimation.group_moments import CoordinateMoments, CoordinateRows, GroupMoments
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.coupling import Coupling
@@ -407,12 +407,16 @@ class _LeftOut:
     """Square error of a joint's rows, each group predicted from all other rows."""
 
     def __init__(
-        self, found: Posterior, free: BoolArray, groups: GroupMoments, part: CoordinateMoments
+        self,
+        found: Posterior,
+        free: BoolArray,
+        groups: GroupMoments,
+        part: CoordinateMoments | CoordinateRows,
     ) -> None:
         self._found = found
         self._unknowns = np.ones(len(found.mean), bool)
         self._unknowns[: len(free)] = free
-        self._moment, self._columns = part.moments, groups.layout.columns[part.coordinate]
+        self._part, self._columns = part, groups.layout.columns[part.coordinate]
         self._weight = 1 / found.covariance[part.coordinate, part.coordinate]
 
     def without(self, term: int | None) -> float:
@@ -422,18 +426,51 @@ class _LeftOut:
             unknowns[term] = False
         found = self._found
         used = unknowns[self._columns]
-        columns = self._columns[used]
-        offset = self._columns[~used]
         # The fixed columns are moved to the right-hand side.
         right = np.zeros(len(self._columns) + 1)
-        right[:-1][~used] = -found.prior.mean[offset]
+        right[:-1][~used] = -found.prior.mean[self._columns[~used]]
         right[-1] = 1.0
-        moved, place = self._moment @ right, np.flatnonzero(used)
-        mean, covariance = conditional(found, unknowns, columns)
+        mean, covariance = conditional(found, unknowns, self._columns[used])
+        if isinstance(self._part, CoordinateRows):
+            return self._of_rows(self._part, used, right, mean, covariance)
+        return self._of_moments(self._part, used, right, mean, covariance)
+
+    def _of_rows(
+        self,
+        part: CoordinateRows,
+        used: BoolArray,
+        right: FloatArray,
+        mean: FloatArray,
+        covariance: FloatArray,
+    ) -> float:
+        """Return the sum of squares from a group's rows, which are fewer than its columns.
+
+        With the share H = K C Kᵀ of the rows in their own prediction, the residual e becomes
+        (1 - H)⁻¹ e without them.
+        """
+        total = 0.0
+        for rows in part.rows:
+            K = np.sqrt(self._weight) * rows[:, :-1][:, used]
+            residual = K @ mean - np.sqrt(self._weight) * (rows @ right)
+            share, U = np.linalg.eigh(K @ covariance @ K.T)
+            pull = share / np.maximum(1 - share, LEAST_LEFT) * (U.T @ residual)
+            total += float(np.sum((residual + U @ pull) ** 2))
+        return total
+
+    def _of_moments(
+        self,
+        part: CoordinateMoments,
+        used: BoolArray,
+        right: FloatArray,
+        mean: FloatArray,
+        covariance: FloatArray,
+    ) -> float:
+        """Return the sum of squares from a group's moments."""
+        moved, place = part.moments @ right, np.flatnonzero(used)
         values, V = np.linalg.eigh(covariance)
         L = V * np.sqrt(np.maximum(values, 0.0))
         total = 0.0
-        for moment, side in zip(self._moment, moved, strict=True):
+        for moment, side in zip(part.moments, moved, strict=True):
             G, g = self._weight * moment[np.ix_(place, place)], self._weight * side[place]
             left, U = np.linalg.eigh(np.eye(len(L)) - L.T @ G @ L)
             pull = U.T @ (L.T @ (G @ mean - g))
