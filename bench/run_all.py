@@ -75,6 +75,14 @@ SECTIONS = (
         plot="growth.svg",
     ),
     Section(
+        "Growth with the number of joints",
+        "many_joints.py",
+        "`identify` with default options on chains of joints, 60 s at 250 Hz, one thread. Rows of "
+        "4000 columns or more are used as they are: moments of all pairs of their columns took "
+        "19 GB for 40 joints.",
+        quick="--joints 6 10 --seconds 20",
+    ),
+    Section(
         "Decimated rows",
         "row_rates.py",
         "Estimates by default, from rows at the full rate, and with the rows of NumPy.",

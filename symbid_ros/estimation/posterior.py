@@ -240,7 +240,8 @@ class _Square:
             root = np.sqrt(correlation)
             covariance = covariance * np.outer(root, root)
         try:
-            root = cholesky(covariance, lower=True)
+            # An upper triangle: rows of a chain's last joints have few columns.
+            root = cholesky(covariance[::-1, ::-1], lower=True)[::-1, ::-1]
         except np.linalg.LinAlgError:
             raise EstimateError(
                 "the residuals at the prior's mean are too large to estimate their covariance; "

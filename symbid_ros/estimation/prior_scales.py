@@ -102,6 +102,8 @@ class PriorEvidence:
             return float(value), gradient + 2 * away, bend
 
         found = [_minimum(cost, one) for one in starts]
+        if len(found) == 1:
+            return found[0]
         return min(found, key=lambda logs: cost(logs)[0])
 
 
