@@ -36,7 +36,7 @@ from symbid_ros.dynamics.kinematics import (
     link_velocity,
 )
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.unmeasured_contacts import without_contacts
+from symbid_ros.dynamics.unmeasured_contacts import all_without_contacts, without_contacts
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 
@@ -89,9 +89,8 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     if parameters.known_terms:
         y -= known_force(parameters, samples)
     if model.contacts is not None:
-        both = np.concatenate([K, y[..., None]], axis=2)
-        both = without_contacts(model, samples, both)
-        K, y = both[..., :-1], both[..., -1]
+        K, forces = all_without_contacts(model, samples, K, y[..., None])
+        y = forces[..., 0]
     return Rows(K, y)
 
 

@@ -263,17 +263,27 @@ def without_contacts(model: RobotModel, samples: Samples, rows: FloatArray) -> F
     also in the combinations that contain it. Where the samples do not tell which contacts touch
     something, all do.
     """
+    return all_without_contacts(model, samples, rows)[0]
+
+
+def all_without_contacts(
+    model: RobotModel, samples: Samples, *arrays: FloatArray
+) -> tuple[FloatArray, ...]:
+    """Return what :func:`without_contacts` does with each of several arrays (N, n, c)."""
     contacts = model.contacts
     assert contacts is not None
     up = upward(samples) if contacts.radii.any() else None
     if samples.touching is None:
-        return _combined(model, contacts, samples.position, rows, up)
-    result = np.zeros_like(rows)
+        return _combined(model, contacts, samples.position, arrays, up)
+    results = tuple(np.zeros_like(rows) for rows in arrays)
     for state, index in contact_states(samples.touching):
         active = contacts_of_state(model, state)
         above = None if up is None else up[index]
-        result[index] = _combined(model, active, samples.position[index], rows[index], above)
-    return result
+        some = tuple(rows[index] for rows in arrays)
+        found = _combined(model, active, samples.position[index], some, above)
+        for result, each in zip(results, found, strict=True):
+            result[index] = each
+    return results
 
 
 def variance_of_all_rows(
@@ -337,37 +347,52 @@ def _combined(
     model: RobotModel,
     contacts: Contacts,
     position: FloatArray,
-    rows: FloatArray,
+    arrays: tuple[FloatArray, ...],
     up: FloatArray | None,
-) -> FloatArray:
+) -> tuple[FloatArray, ...]:
     """Return the combinations of rows (N, n, c) that no wrench of the contacts enters.
 
     The direction ``up`` (N, 3), in base axes, is needed for balls.
     """
-    result = np.zeros_like(rows)
     loaded = np.asarray(contacts.loads.any(axis=0))
     # Rows on which no contact acts stay as they are.
     free = contacts.coordinates[~loaded[contacts.coordinates]]
-    result[:, free] = rows[:, free]
     combined = contacts.coordinates[loaded[contacts.coordinates]]
-    if not len(combined):
-        return result
-    poses = link_poses(model, position)
-    J = contact_jacobian(model, contacts.frames, poses)
-    if up is not None:
-        J = _at_bottoms(J, model, contacts, poses, up)
-    J = J[:, contacts.components]
-    some = np.eye(model.dof)[combined]
-    N = annihilator(J, contacts.damping, some, orthonormal=not contacts.has_all_rows)
-    kept = N @ rows
-    # NaN times zero is NaN, so columns that contain NaN are combined without it.
-    gaps = np.flatnonzero(~np.isfinite(kept).all(axis=(0, 1)))
-    if len(gaps):
+    N = np.zeros((len(position), 0, model.dof))
+    if len(combined):
+        poses = link_poses(model, position)
+        J = contact_jacobian(model, contacts.frames, poses)
+        if up is not None:
+            J = _at_bottoms(J, model, contacts, poses, up)
+        J = J[:, contacts.components]
+        some = np.eye(model.dof)[combined]
+        N = annihilator(J, contacts.damping, some, orthonormal=not contacts.has_all_rows)
+    return tuple(_with_combinations(rows, free, combined, N) for rows in arrays)
+
+
+def _with_combinations(
+    rows: FloatArray, free: IntArray, combined: IntArray, N: FloatArray
+) -> FloatArray:
+    """Return rows (N, n, c): some as they are, combinations N (N, k, n) of others, else zeros."""
+    result = np.empty_like(rows)
+    others = np.setdiff1d(np.arange(rows.shape[1]), np.concatenate([free, combined]))
+    result[:, others] = 0.0
+    result[:, free] = rows[:, free]
+    # Neighbours at once, into their place: a humanoid's rows are too large to copy them.
+    for run in np.split(np.arange(len(combined)), np.flatnonzero(np.diff(combined) > 1) + 1):
+        if not len(run):
+            continue
+        place = slice(int(combined[run[0]]), int(combined[run[-1]]) + 1)
+        part = N[:, run[0] : run[-1] + 1]
+        kept = np.matmul(part, rows, out=result[:, place])
+        if np.isfinite(kept.sum()):
+            continue
+        # NaN times zero is NaN, so columns that contain NaN are combined without it.
+        gaps = np.flatnonzero(~np.isfinite(kept).all(axis=(0, 1)))
         is_known = np.isfinite(rows[..., gaps])
-        known = N @ np.where(is_known, rows[..., gaps], 0.0)
-        known[(np.abs(N) > NEGLIGIBLE).astype(float) @ ~is_known > 0] = np.nan
+        known = part @ np.where(is_known, rows[..., gaps], 0.0)
+        known[(np.abs(part) > NEGLIGIBLE).astype(float) @ ~is_known > 0] = np.nan
         kept[..., gaps] = known
-    result[:, combined] = kept
     return result
 
 

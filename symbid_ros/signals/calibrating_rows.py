@@ -13,10 +13,11 @@ from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.placements import displaced, displacement_columns
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion, equation_residual
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import without_contacts
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.sampled_rows import SampledRows, rows_that_hold
+from symbid_ros.signals.sampled_rows import SampledRows, rows_that_hold, samples_at_once
 from symbid_ros.signals.sensor_drift import SensorDrift
 from symbid_ros.signals.sensor_errors import (
     AXIS,
@@ -231,25 +232,33 @@ class CalibratingRows:
         for start in range(0, len(readings), CHUNK):
             part = readings[start : start + CHUNK]
             samples = at_base(errors.corrected(part, point.theta), parameters.model)
-            rows = equation_of_motion(parameters, samples)
-            C = interpolated_columns(self.parameters, errors, point, part)
-            if errors.gained:
-                C = C.copy()
-                place = errors.places[DRIVE_GAIN]
-                rows_of = 6 * parameters.model.floating + np.array(errors.gained_joints)
-                # The effort as the model predicts it: that which was measured contains noise, with
-                # which small factors and small masses would look more probable. Not interpolated,
-                # because a common scale of factors and masses must leave no residual at all.
-                unexplained = (rows.y - rows.K @ point.phi)[:, rows_of]
-                predicted = samples.effort[:, errors.gained_joints] - unexplained
-                C[:, rows_of, range(place.start, place.stop)] = (
-                    np.nan_to_num(predicted) / point.theta[place]
-                )
-            columns = [rows.K, -C]
-            if self.drift is not None:
-                columns.append(-self.drift.columns(C, part.stamp))
-            rows = Rows(np.concatenate(columns, axis=2), rows.y - C @ point.theta)
-            yield rows_that_hold(parameters, samples, rows)
+            columns = interpolated_columns(self.parameters, errors, point, part)
+            size = samples_at_once(parameters)
+            for first in range(0, len(part), size):
+                some = slice(first, first + size)
+                yield self._rows(samples[some], columns[some])
+
+    def _rows(self, samples: Samples, C: FloatArray) -> SampledRows:
+        """Return the rows of few samples with the columns C (N, n, r) of the sensors' errors."""
+        parameters, errors, point = self.placed, self.errors, self.linearization
+        rows = equation_of_motion(parameters, samples)
+        if errors.gained:
+            C = C.copy()
+            place = errors.places[DRIVE_GAIN]
+            rows_of = 6 * parameters.model.floating + np.array(errors.gained_joints)
+            # The effort as the model predicts it: that which was measured contains noise, with
+            # which small factors and small masses would look more probable. Not interpolated,
+            # because a common scale of factors and masses must leave no residual at all.
+            unexplained = (rows.y - rows.K @ point.phi)[:, rows_of]
+            predicted = samples.effort[:, errors.gained_joints] - unexplained
+            C[:, rows_of, range(place.start, place.stop)] = (
+                np.nan_to_num(predicted) / point.theta[place]
+            )
+        columns = [rows.K, -C]
+        if self.drift is not None:
+            columns.append(-self.drift.columns(C, samples.stamp))
+        rows = Rows(np.concatenate(columns, axis=2), rows.y - C @ point.theta)
+        return rows_that_hold(parameters, samples, rows)
 
 
 def interpolated_columns(

@@ -31,6 +31,15 @@ COMBINED = 0.8
 # always, and hardly any row would be left if all had to slip. The friction of a sticking joint,
 # which no column describes, is less than that of all joints without the column of Coulomb friction.
 MOST = 0.5
+# Samples whose rows are built at once, and numbers in these, 32 MB: the allocator returns larger
+# arrays to the system, and clearing them anew takes as long as filling them.
+MOST_AT_ONCE, NUMBERS_AT_ONCE = 512, 4_000_000
+
+
+def samples_at_once(parameters: ParameterSet) -> int:
+    """Return the number of samples whose rows are built at once."""
+    size = parameters.model.dof * len(parameters)
+    return max(min(MOST_AT_ONCE, NUMBERS_AT_ONCE // size), 1)
 
 
 def least_slipping(window: float) -> float:

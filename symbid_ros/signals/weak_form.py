@@ -39,6 +39,7 @@ from symbid_ros.signals.sampled_rows import (
     least_slipping,
     rows_that_hold,
     sampled_rows,
+    samples_at_once,
 )
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_noise import MOTION, Channel, add_noise
@@ -82,8 +83,6 @@ LARGEST_SHARE = 0.25
 # Periods of the low-pass's cutoff that are discarded at the ends of a block. The filter's transient
 # decays by a factor of 80 per period and affects acceleration most.
 SETTLING = 4
-
-CHUNK = 512
 
 # Blocks from the start of a log whose noise is replayed. The replay estimates a mean, for which it
 # is enough to replay every second, fourth and eighth block later on.
@@ -147,7 +146,7 @@ class EquationRows(AveragingRows):
 
     def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
         """Yield the rows of sensor samples."""
-        for part in self._samples(readings).blocks(CHUNK):
+        for part in self._samples(readings).blocks(samples_at_once(self.parameters)):
             yield sampled_rows(self.parameters, part)
 
     @property

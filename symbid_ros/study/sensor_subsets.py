@@ -24,9 +24,8 @@ from symbid_ros.estimation.row_layout import RowLayout, random_motions
 from symbid_ros.identification.rows.dataset import SAMPLES_AT_ONCE, Dataset, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.sampled_rows import SampledRows, valid_coordinates
+from symbid_ros.signals.sampled_rows import MOST_AT_ONCE, SampledRows, valid_coordinates
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import CHUNK
 
 SensorSubset = Literal["all", "base_rows", "joint_rows", "no_plates"]
 
@@ -181,8 +180,8 @@ class SubsetRows:
 
     def build(self, readings: SensorSamples) -> Iterator[SampledRows]:
         """Yield the rows of readings: a :data:`symbid_ros.signals.weak_form.RowBuilder`."""
-        for start in range(0, len(readings), CHUNK):
-            yield self.at(at_base(readings[start : start + CHUNK], self.parameters.model))
+        for start in range(0, len(readings), MOST_AT_ONCE):
+            yield self.at(at_base(readings[start : start + MOST_AT_ONCE], self.parameters.model))
 
 
 def observe_subset(

@@ -20,10 +20,10 @@ from symbid_ros.errors import OptionError
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.sampled_rows import RowBuilder, SampledRows
+from symbid_ros.signals.sampled_rows import MOST_AT_ONCE, RowBuilder, SampledRows
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import ALL_WINDOWS, CHUNK, suitable_windows, windowed_rows
+from symbid_ros.signals.weak_form import ALL_WINDOWS, suitable_windows, windowed_rows
 
 logger = logging.getLogger(__name__)
 
@@ -210,8 +210,8 @@ def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:
     first = 6 * parameters.model.floating
 
     def build(readings: SensorSamples) -> Iterator[SampledRows]:
-        for start in range(0, len(readings), CHUNK):
-            samples = at_base(readings[start : start + CHUNK], bare.model)
+        for start in range(0, len(readings), MOST_AT_ONCE):
+            samples = at_base(readings[start : start + MOST_AT_ONCE], bare.model)
             measured = samples.effort
             still = replace(samples, effort=np.zeros_like(measured))
             rows = equation_of_motion(bare, still)
