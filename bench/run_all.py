@@ -78,8 +78,8 @@ SECTIONS = (
         "Growth with the number of joints",
         "many_joints.py",
         "`identify` with default options on chains of joints, 60 s at 250 Hz, one thread. Rows of "
-        "4000 columns or more are used as they are: moments of all pairs of their columns took "
-        "19 GB for 40 joints.",
+        "4000 columns or more are used as they are: with moments of all pairs of their columns, "
+        "40 joints took 8 GB.",
         quick="--joints 6 10 --seconds 20",
     ),
     Section(
