@@ -3,6 +3,7 @@
 Dask is imported when it is needed, so that one machine needs no Dask.
 """
 
+import asyncio
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -129,7 +130,9 @@ def connected(address: str) -> Iterator[Cluster]:
     try:
         # A client whose address is invalid waits in vain when it is deleted.
         distributed.comm.resolve_address(address)
-        client = distributed.Client(address, timeout=CONNECTING_TIME, set_as_default=False)
+        with _dask_log_hidden():
+            asyncio.run(_check_handshake(address))
+            client = distributed.Client(address, timeout=CONNECTING_TIME, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise OptionError(
@@ -137,7 +140,7 @@ def connected(address: str) -> Iterator[Cluster]:
             "and give the address that it prints",
             "E951",
         ) from None
-    with client:
+    with _dask_log_hidden(), client:
         try:
             _check_workers(client, address)
             yield Cluster(client, address)
@@ -159,6 +162,34 @@ def connected(address: str) -> Iterator[Cluster]:
             raise SymbidError(
                 f"`dask` {address}: the cluster dropped a task ({reason}); start again", "E953"
             ) from None
+
+
+async def _check_handshake(address: str) -> None:
+    """Raise an error if a server accepts a connection but does not answer as a scheduler.
+
+    A client waits for it without end, for example for the web server of Dask's dashboard.
+    """
+    from distributed import comm  # noqa: PLC0415 - an optional library
+
+    if comm.parse_address(address)[0] == "tcp":  # TLS has a handshake of its own
+        connection = comm.connect(address, timeout=CONNECTING_TIME)
+        try:
+            opened = await asyncio.wait_for(connection, 1.2 * CONNECTING_TIME)
+        except TimeoutError:
+            raise OSError("another program listens there, perhaps Dask's dashboard") from None
+        await opened.close()
+
+
+@contextmanager
+def _dask_log_hidden() -> Iterator[None]:
+    """Hide Dask's log, such as tracebacks of lost connections; its errors are raised as well."""
+    log = logging.getLogger("distributed")
+    before = log.propagate, log.handlers
+    log.propagate, log.handlers = False, [logging.NullHandler()]
+    try:
+        yield
+    finally:
+        log.propagate, log.handlers = before
 
 
 def _check_workers(client: "Client", address: str) -> None:

@@ -4,6 +4,7 @@ import json
 import logging
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -191,7 +192,9 @@ class Reaction(logging.Handler):
 
 
 @pytest.mark.parametrize("ending", ["workers", "scheduler"])
-def test_workers_and_a_scheduler_that_end_midway_are_named(tmp_path, monkeypatch, ending) -> None:
+def test_workers_and_a_scheduler_that_end_midway_are_named(
+    tmp_path, monkeypatch, caplog, ending
+) -> None:
     """Without workers the tasks wait, so a worker that is started then computes them."""
     monkeypatch.setattr(connection, "CHECK_PERIOD", 0.2)
     with local_cluster(tmp_path, workers=1) as started:
@@ -206,6 +209,7 @@ def test_workers_and_a_scheduler_that_end_midway_are_named(tmp_path, monkeypatch
                 assert dask.results([dask.submit(max, 1, 2)], "waiting") == [2]
         finally:
             connection.logger.removeHandler(react)
+    assert {record.name for record in caplog.records} == {connection.logger.name}
     (message,) = react.messages
     assert f"dask worker {started.address}" in message
 
@@ -218,6 +222,17 @@ def test_a_missing_scheduler_is_named(monkeypatch) -> None:
     ):
         pass
     assert raised.value.code == "E951"
+
+
+def test_a_server_that_is_no_scheduler_is_named(monkeypatch) -> None:
+    """It accepts connections and never answers, as the web server of Dask's dashboard does."""
+    monkeypatch.setattr(connection, "CONNECTING_TIME", 0.2)
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        raises_code("E951", "another program listens there"),
+        connected(f"tcp://127.0.0.1:{server.getsockname()[1]}"),
+    ):
+        pass
 
 
 @pytest.mark.parametrize("address", ["nowhere", "nowhere://127.0.0.1:1", ""])
