@@ -6,7 +6,7 @@ Dask is imported when it is needed, so that one machine needs no Dask.
 import asyncio
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import CancelledError, Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,8 +98,8 @@ class Cluster:
         StudyError
             When a worker does not see the file ``folder``, which must be on a shared file system.
         """
-        for worker, is_seen in self.client.run(sees_file, str(folder)).items():
-            if not is_seen:
+        for worker, is_seen in _run_on_all(self, sees_file, str(folder)).items():
+            if is_seen is not True:
                 raise StudyError(
                     f"{folder}: the worker at {worker} does not see it; choose a folder on a file "
                     "system that all workers share",
@@ -140,10 +140,12 @@ def connected(address: str) -> Iterator[Cluster]:
             "and give the address that it prints",
             "E951",
         ) from None
+    lost = CancelledError, distributed.comm.CommClosedError, distributed.client.ClosedClientError
     with _dask_log_hidden(), client:
         try:
-            _check_workers(client, address)
-            yield Cluster(client, address)
+            cluster = Cluster(client, address)
+            _check_workers(cluster)
+            yield cluster
         except distributed.scheduler.KilledWorker as error:
             raise SymbidError(
                 f"`dask` {address}: {error.allowed_failures + 1} workers died while they ran one "
@@ -152,16 +154,23 @@ def connected(address: str) -> Iterator[Cluster]:
                 "E953",
             ) from None
         except distributed.client.FutureCancelledError as error:
-            if error.reason == SCHEDULER_LOST:
-                raise SymbidError(
-                    f"`dask` {address}: the scheduler ended, or the connection to it broke; start "
-                    "`dask scheduler` and its workers, and repeat the command",
-                    "E953",
-                ) from None
+            if error.reason == SCHEDULER_LOST or client.status != "running":
+                raise _scheduler_lost(address) from None
             reason = " ".join(str(error).split())
             raise SymbidError(
                 f"`dask` {address}: the cluster dropped a task ({reason}); start again", "E953"
             ) from None
+        except lost:
+            # Tasks of an executor, and calls and new tasks after the connection was lost.
+            raise _scheduler_lost(address) from None
+
+
+def _scheduler_lost(address: str) -> SymbidError:
+    return SymbidError(
+        f"`dask` {address}: the scheduler ended, or the connection to it broke; start "
+        "`dask scheduler` and its workers, and repeat the command",
+        "E953",
+    )
 
 
 async def _check_handshake(address: str) -> None:
@@ -192,8 +201,18 @@ def _dask_log_hidden() -> Iterator[None]:
         log.propagate, log.handlers = before
 
 
-def _check_workers(client: "Client", address: str) -> None:
+def _run_on_all(cluster: Cluster, function: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
+    """Call a function on each worker and return the results, or the errors, by address."""
+    try:
+        results: dict[str, Any] = cluster.client.run(function, *arguments, on_error="return")
+    except OSError:
+        raise _scheduler_lost(cluster.address) from None
+    return results
+
+
+def _check_workers(cluster: Cluster) -> None:
     """Raise an error unless there are workers, all with this version of the package."""
+    client, address = cluster.client, cluster.address
     try:
         client.wait_for_workers(1, timeout=CONNECTING_TIME)
     except TimeoutError:
@@ -203,7 +222,7 @@ def _check_workers(client: "Client", address: str) -> None:
         ) from None
     own = package_version()
     # A worker without the package cannot even load the function, and returns the error instead.
-    for worker, found in client.run(installed_version, on_error="return").items():
+    for worker, found in _run_on_all(cluster, installed_version).items():
         if found != own:
             has = f"has version {found}" if isinstance(found, str) else f"cannot load {PACKAGE}"
             raise SymbidError(

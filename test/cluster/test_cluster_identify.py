@@ -214,6 +214,35 @@ def test_workers_and_a_scheduler_that_end_midway_are_named(
     assert f"dask worker {started.address}" in message
 
 
+def test_a_scheduler_that_ends_during_a_study_is_named(tmp_path) -> None:
+    """The tasks of an executor do not say why they were cancelled."""
+    with (
+        local_cluster(tmp_path, workers=1) as started,
+        raises_code("E953", "the scheduler"),
+        connected(started.address) as dask,
+    ):
+        started.workers[0].kill()
+        task = dask.client.get_executor(pure=False).submit(max, 1, 2)
+        started.scheduler.kill()
+        task.result()
+
+
+@pytest.mark.parametrize("call", ["submit", "run"])
+def test_work_after_the_scheduler_ended_is_refused(tmp_path, monkeypatch, call) -> None:
+    monkeypatch.setattr(connection, "CONNECTING_TIME", 2.0)
+    with (
+        local_cluster(tmp_path, workers=1) as started,
+        raises_code("E953", "the scheduler"),
+        connected(started.address) as dask,
+    ):
+        started.scheduler.kill()
+        started.scheduler.wait()
+        if call == "run":
+            dask.executor_of(tmp_path)
+        else:
+            dask.results([dask.submit(max, 1, 2)], "waiting")
+
+
 def test_a_missing_scheduler_is_named(monkeypatch) -> None:
     monkeypatch.setattr(connection, "CONNECTING_TIME", 0.2)
     with (
