@@ -131,11 +131,11 @@ class _TopicMatcher:
 
     def match_joints(self) -> None:
         """Choose the topics of joint states, and match their joints."""
-        streams = {
-            topic.name: found.joints
-            for topic in self._of_type(JOINT_STATE)
-            if (found := self._read(topic.name)) is not None
-        }
+        wanted = self.robot.measured_joint_names
+        streams = self._joint_streams()
+        names = list(dict.fromkeys(name for one in streams.values() for name in one.names))
+        if len(match_names(names, wanted)[0]) < len(wanted):
+            streams = self._joint_streams(fullest=True)  # a driver may start late
         if not streams and self.fault is not None:
             raise self.fault
         if not streams:
@@ -144,7 +144,6 @@ class _TopicMatcher:
                 f"{describe_topics(self.topics)}; record the joint states as well",
                 "E210",
             )
-        wanted = self.robot.measured_joint_names
         chosen: dict[str, str] = {}
         guesses: list[str] = []
         for topic, joints in sorted(streams.items(), key=lambda one: _preference(*one)):
@@ -185,6 +184,14 @@ class _TopicMatcher:
         for name in wanted:
             if name not in chosen.values():
                 self.setup.add("hold_joint", f"{name}:=0.0", "CHECK: these positions are guesses.")
+
+    def _joint_streams(self, *, fullest: bool = False) -> dict[str, JointStream]:
+        """Return the first joint states of each topic, or those that name the most joints."""
+        return {
+            topic.name: found.joints
+            for topic in self._of_type(JOINT_STATE)
+            if (found := self._read(topic.name, fullest=fullest)) is not None
+        }
 
     def _matched(
         self, topic: str, recorded: Sequence[str], wanted: Sequence[str]
@@ -354,8 +361,13 @@ class _TopicMatcher:
         sensors = [one.name for one in self.robot.frames]
         return most_similar(frame, topic, sensors) or most_similar(frame, topic, known)
 
-    def _read(self, joints: str, sensor: Topic | None = None) -> Streams | None:
-        """Return the first messages of a topic of joint states and of another sensor."""
+    def _read(
+        self, joints: str, sensor: Topic | None = None, *, fullest: bool = False
+    ) -> Streams | None:
+        """Return the first messages of a topic of joint states and of another sensor.
+
+        ``fullest`` returns the first of those that name the most joints instead.
+        """
         imus, wrenches, poses = (
             (sensor.name,) if sensor is not None and sensor.msgtype in msgtypes else ()
             for msgtypes in ((IMU,), (WRENCH,), (POSE, ODOMETRY))
@@ -367,13 +379,18 @@ class _TopicMatcher:
             poses=poses,
             mapping=SensorMapping(tracked=self.robot.link_names[0]),
         )
+        found: Streams | None = None
         try:
             for piece in bag_log(self.bags, topics=selection).slices(SPAN, warn=False):
-                if piece.streams is not None:
-                    return piece.streams
+                if piece.streams is None:
+                    continue
+                if found is None or len(piece.streams.joints.names) > len(found.joints.names):
+                    found = piece.streams
+                if not fullest:
+                    break
         except SymbidError as error:
             self.fault = self.fault or error
-        return None
+        return found
 
 
 def _preference(topic: str, joints: JointStream) -> tuple[bool, bool, int, str]:

@@ -31,6 +31,7 @@ from symbid_ros.offline.robot_file import OF_THE_NODE, load_robot_file
 from symbid_ros.offline.robot_setup import inspect_robot
 from symbid_ros.offline.robot_setup_file import DESCRIPTIONS, EXAMPLES, RobotSetup
 from symbid_ros.package_paths import config_file
+from symbid_ros.signals.segments import SECOND
 
 # Nm per ampere of the motors, whose signs differ.
 CONSTANTS = np.array([10.0, 9.0, -8.0, 11.0, 12.0, 10.0, 9.0, 8.0, -10.0, 12.0])
@@ -574,6 +575,21 @@ def test_joints_of_two_robots_in_one_topic_are_told_apart(tmp_path) -> None:
         line.startswith("CHECK:") and "2 robots: left_, right_" in line
         for line in setup.comments["rename_joint"]
     )
+
+
+def test_a_joint_whose_driver_starts_late_is_not_held(tmp_path) -> None:
+    """Names are usually those of the first seconds."""
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 20.0, 1, friction=0.05).joints
+    late = np.searchsorted(read.stamp, read.stamp[0] + 6 * SECOND)
+    names = arm.joint_names
+    messages = arm_messages(read, names)
+    columns = {one: getattr(read, one)[:, :-1] for one in ("position", "velocity", "effort")}
+    messages[:late] = arm_messages(replace(read, names=names[:-1], **columns), names[:-1])[:late]
+    setup = inspect_robot(ur5_urdf(), [joints_only(tmp_path / "bag", *messages)], "fixed")
+    assert "hold_joint" not in setup.options
+    assert "rename_joint" not in setup.options
+    assert any("have no effort of wrist_3_joint" in line for line in setup.comments[""])
 
 
 def test_a_log_without_stamps_is_refused_for_that_reason(tmp_path) -> None:
