@@ -132,10 +132,7 @@ class _TopicMatcher:
     def match_joints(self) -> None:
         """Choose the topics of joint states, and match their joints."""
         wanted = self.robot.measured_joint_names
-        streams = self._joint_streams()
-        names = list(dict.fromkeys(name for one in streams.values() for name in one.names))
-        if len(match_names(names, wanted)[0]) < len(wanted):
-            streams = self._joint_streams(fullest=True)  # a driver may start late
+        streams = self._joint_streams(wanted)
         if not streams and self.fault is not None:
             raise self.fault
         if not streams:
@@ -185,13 +182,21 @@ class _TopicMatcher:
             if name not in chosen.values():
                 self.setup.add("hold_joint", f"{name}:=0.0", "CHECK: these positions are guesses.")
 
-    def _joint_streams(self, *, fullest: bool = False) -> dict[str, JointStream]:
-        """Return the first joint states of each topic, or those that name the most joints."""
-        return {
-            topic.name: found.joints
-            for topic in self._of_type(JOINT_STATE)
-            if (found := self._read(topic.name, fullest=fullest)) is not None
-        }
+    def _joint_streams(self, wanted: Sequence[str]) -> dict[str, JointStream]:
+        """Return the first joint states of each topic that has usable ones.
+
+        Of a log that lacks joints at first, as a driver may start late, return those that name the
+        most joints.
+        """
+        found: dict[str, JointStream] = {}
+        for fullest in (False, True):
+            for topic in self._of_type(JOINT_STATE):
+                if (streams := self._read(topic.name, fullest=fullest)) is not None:
+                    found[topic.name] = streams.joints
+            names = list(dict.fromkeys(name for one in found.values() for name in one.names))
+            if len(match_names(names, wanted)[0]) == len(wanted):
+                break
+        return found
 
     def _matched(
         self, topic: str, recorded: Sequence[str], wanted: Sequence[str]
