@@ -280,10 +280,10 @@ def report(
         refuse_unused(log, "without --bag; give both", given)
     folders = list(dict.fromkeys(folders))
     out = folders[-1] / "report.html" if out is None else out
-    check_output_file(out, is_page)
     with progress_shown():
         loaded = None if model is None else load_model(model, base)
         found = [load_result(folder, loaded) for folder in folders]
+        check_output_file(out, is_page)
         shown = found[-1]
         recording = load_bag(bag, shown.parameters.model, log) if bag else None
         ground_truth = None

@@ -262,7 +262,7 @@ REMEDIES = {
     Defect.NOT_FINITE: "repair the driver",
     Defect.SPIKE: "check the sensor, its cable and its driver for dropouts and bit errors",
     Defect.UNKNOWN_JOINT: "publish all joints from one driver",
-    Defect.OTHER_JOINTS: "if the robot has these too, publish all joints from one driver",
+    Defect.OTHER_JOINTS: "if the robot has these too, have their driver publish on its own topic",
     Defect.REORDERED_JOINTS: "publish all joints from one driver",
     Defect.NO_ORIENTATION: "fill it in every message, or mark it absent in every message",
     Defect.LATE: "synchronize the clocks, or record the topics together",

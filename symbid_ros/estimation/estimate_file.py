@@ -94,10 +94,13 @@ def load_estimate(path: Path) -> Estimate:
         document = load_json(path)
     except OSError as error:
         fault = f"{path}: cannot read it ({error.strerror}); check the path"
-        if path.name == "estimate.json" and path.parent.is_dir() and not path.exists():
+        folder = path.parent
+        if path.name == "estimate.json" and not path.exists():
+            found = "a file" if folder.exists() else "no such folder"
             fault = (
-                f"{path.parent}: not a result of `symbid identify`, there is no {path.name}; give "
-                "the folder that it wrote"
+                f"{folder}: not a result of `symbid identify`, "
+                f"{f'there is no {path.name}' if folder.is_dir() else found}; give the folder that "
+                "it wrote"
             )
         raise EstimateError(fault, "E401") from None
     except ValueError as error:

@@ -127,6 +127,7 @@ def test_invalid_report_requests_are_one_line_errors(
         (prior, (), "holds a prior"),
         (found / "map_lmi", ("--realistic", short), "add --truth"),
         (found / "none", (), "cannot read it"),
+        (found / "map_lmi" / "estimate.json", (), "not a result of `symbid identify`, a file"),
         (short, (), f"{short}: not a result of `symbid identify`"),
     ):
         command = ("report", subject, "--model", model, "--bag", short, "--out", file)
@@ -135,6 +136,8 @@ def test_invalid_report_requests_are_one_line_errors(
         assert says in ended.stderr
         assert ended.stderr.count("\n") == 1
         assert not file.exists()
+    beside = symbid_here("report", model)  # the page would be written into this folder
+    assert "not a result of `symbid identify`, a file" in beside.stderr
 
 
 def test_realistic_predictions_come_beside_the_ideal_ones(
