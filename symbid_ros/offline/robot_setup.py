@@ -30,6 +30,7 @@ from symbid_ros.signals.required_sensors import suggested_prefix
 from symbid_ros.signals.streams import JointStream, Streams
 
 SPAN = 4 * 10**9  # ns of a log that show its names
+COMMAND_WORDS = "command", "cmd", "desired", "setpoint", "target"  # in names of topics
 FEWEST_LEGS = 2  # of a robot whose base hardly ever is fixed
 
 
@@ -157,7 +158,7 @@ class _TopicMatcher:
                         "left out. Give the topic of this robot.",
                     )
                 continue
-            self.setup.add("joint_topic", topic)
+            self._add_joint_topic(topic)
             guesses += guessed
             chosen |= pairs
         if not chosen:
@@ -181,6 +182,14 @@ class _TopicMatcher:
         for name in wanted:
             if name not in chosen.values():
                 self.setup.add("hold_joint", f"{name}:=0.0", "CHECK: these positions are guesses.")
+
+    def _add_joint_topic(self, topic: str) -> None:
+        self.setup.add("joint_topic", topic)
+        if _is_command(topic):
+            self.setup.note(
+                "joint_topic",
+                f"CHECK: {topic} has the name of commands. Give the topic of what is measured.",
+            )
 
     def _joint_streams(self, wanted: Sequence[str]) -> dict[str, JointStream]:
         """Return the first joint states of each topic that has usable ones.
@@ -398,10 +407,14 @@ class _TopicMatcher:
         return found
 
 
-def _preference(topic: str, joints: JointStream) -> tuple[bool, bool, int, str]:
+def _preference(topic: str, joints: JointStream) -> tuple[bool, bool, bool, int, str]:
     """Return a key that sorts measured joint states before commands."""
     is_other = topic.rsplit("/", 1)[-1] != "joint_states"
-    return is_other, not _has_efforts(joints), topic.count("/"), topic
+    return is_other, not _has_efforts(joints), _is_command(topic), topic.count("/"), topic
+
+
+def _is_command(topic: str) -> bool:
+    return any(word in topic.lower() for word in COMMAND_WORDS)
 
 
 def _names_all(joints: JointStream, wanted: Sequence[str]) -> bool:

@@ -12,7 +12,7 @@ from arm_log import arm_streams, without_load
 from bag_editing import Messages, edit_bag
 from documented_robots import ur5_urdf
 from drive_logs import drives, light_wrist, log_of
-from foreign_bags import joint_state, joints_only
+from foreign_bags import joint_state, joints_only, write_rosbags
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.context import Context
@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 import symbid_ros as sy
 from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError, OptionError
+from symbid_ros.messages.types import JOINT_STATE
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.inertia import phi_from_com
@@ -575,6 +576,19 @@ def test_joints_of_two_robots_in_one_topic_are_told_apart(tmp_path) -> None:
         line.startswith("CHECK:") and "2 robots: left_, right_" in line
         for line in setup.comments["rename_joint"]
     )
+
+
+@pytest.mark.parametrize("topics", [["/arm/joint_command"], ["/arm/command", "/arm/state"]])
+def test_commands_are_marked_if_nothing_else_is_recorded(tmp_path, topics) -> None:
+    arm = load_model(ur5_urdf(), "fixed")
+    read = arm_streams(arm, 8.0, 1, friction=0.05).joints
+    payloads = arm_messages(read, arm.joint_names)
+    bag = tmp_path / "bag"
+    write_rosbags(bag, [(topic, JOINT_STATE, one) for one in payloads for topic in topics])
+    setup = inspect_robot(ur5_urdf(), [bag], "fixed")
+    marked = [one for one in setup.comments["joint_topic"] if "the name of commands" in one]
+    assert setup.options["joint_topic"] == topics[-1:]
+    assert len(marked) == (len(topics) == 1)
 
 
 def test_a_joint_whose_driver_starts_late_is_not_held(tmp_path) -> None:
