@@ -87,6 +87,8 @@ class LogCorrections:
         """Look for all of them, each with those before it in effect."""
         self._name_wrist_sensors()
         self._convert_degrees()
+        if self.setup.has_open_question:  # if the base moves, efforts seem to have wrong units
+            return
         self.setup.diagnosis = self._diagnosed()
         if not has_unsigned_efforts(self.setup.diagnosis.findings):
             self._correct_joints_and_gravity()

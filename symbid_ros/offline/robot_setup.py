@@ -69,7 +69,8 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
         setup.note(
             "base",
             f"CHECK: the model has legs ({', '.join(legs)}), but the log has no IMU and no pose of "
-            "the base. If the base moved, record one of them.",
+            "the base. If the base moved, record one of them. If not, give --base fixed, which "
+            "also looks for wrong signs and units.",
         )
     matcher = _TopicMatcher(tuple(bags), robot, tuple(topics), setup)
     matcher.match_joints()

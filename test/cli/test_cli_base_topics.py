@@ -118,6 +118,9 @@ def test_legs_without_an_imu_leave_the_base_open(symbid_here, urdf, steps, tmp_p
     asked = lines[lines.index("    base: fixed") - 1]
     assert asked.startswith("    # CHECK: the model has legs (")
     assert "no IMU and no pose of the base" in asked
+    # Forces that move the base would look like efforts in other units.
+    found = load_robot_file(out)
+    assert not {"effort_scale", "drive_gain", "flip_joint", "gravity"} & set(found)
     # Who says that the base is fixed is not asked.
     assert not inspect_robot(urdf, [bag], "fixed").has_open_question
 
