@@ -40,7 +40,7 @@ DEVIATIONS = 5.0
 CUTOFF = 20.0
 RATE = 200.0  # Hz at which angular velocities are compared
 LONGEST_DELAY = 0.1  # s
-# A sole stands if it carries this share of the robot's weight.
+# A sole stands if it carries this share of the robot's weight. It transmits moments.
 STANDING_LOAD = 0.25
 # With three or more feet, which may be points, each stands if it carries this share.
 POINT_LOAD = 0.05
@@ -125,6 +125,8 @@ class StanceGyroMoments:
         motion = RelativeLinkMotion.of(self.model, readings.position, readings.velocity)
         if len(feet) < FEWEST_POINTS:
             for foot in feet:
+                if not readings.wrenches[:, foot, :3].any():  # a foot rolls on a point
+                    continue
                 link = self.model.frame(readings.wrench_frames[foot]).link
                 expected = motion.rate(self.model, imu_frame, -motion.omega[:, link])
                 yield expected, np.asarray(share[:, foot] > STANDING_LOAD)

@@ -146,6 +146,7 @@ def over_a_foot(mounting, *, delay=0.0, scale=1.0, loaded=slice(None), share=0.3
     force = np.zeros((len(time), 1, 6))
     weight = 9.81 * model.phi[:, 0].sum()
     force[loaded, 0, 4] = share * weight
+    force[loaded, 0, 0] = 0.02 * share * weight  # Nm, of a sole
     segment = Segment(
         stamp=np.round(time * 1e9).astype(np.int64),
         rate=RATE,
@@ -218,6 +219,13 @@ def test_only_times_under_load_count() -> None:
         model, segment, _ = over_a_foot(np.eye(3), loaded=slice(400, 400 + 2 * length))
         count = fitted(model, segment)[0].count
         assert count == (pytest.approx(length, abs=4) if length > 2 * SHIFTS else 0)
+
+
+def test_a_foot_that_transmits_no_moment_may_roll() -> None:
+    """A ball turns with the shank, so it does not tell how the robot turns."""
+    model, segment, _ = over_a_foot(np.eye(3))
+    force = segment.wrenches * np.repeat([0.0, 1.0], 3)
+    assert fitted(model, replace(segment, wrenches=force))[1] is None
 
 
 def test_segments_add_up_and_short_ones_are_ignored() -> None:
