@@ -4,6 +4,7 @@ import os
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -386,3 +387,47 @@ def test_pipe_or_device_in_a_bag_folder_does_not_block(name: str, tmp_path: Path
                 read(bag)
         (bag / name).unlink()
     assert list(tmp_path.iterdir()) == [bag]
+
+
+@pytest.mark.parametrize("size", [9, 40, 1000])
+def test_records_are_read_whole_however_much_is_read_at_once(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int
+) -> None:
+    raw = message()
+    private = struct.pack("<BQ", 0x90, 3000) + bytes(3000)
+    mixed = mcap(
+        tmp_path / "log.mcap",
+        announced(),
+        private,
+        raw,
+        chunk(zstandard.compress(raw * 2), 2 * len(raw)),
+        private,
+        raw,
+    )
+
+    def payloads() -> list[tuple[str, bytes]]:
+        return [
+            (topic.name, block.data[start : start + length].tobytes())
+            for file in (log / "log_0.mcap", mixed)
+            for block in read_mcap_blocks(file)
+            for topic, spans in block.spans.items()
+            for start, length in spans.tolist()
+        ]
+
+    at_once = payloads()
+    assert at_once[-4:] == [("/joint_states", STATE)] * 4
+    monkeypatch.setattr("symbid_ros.bags.container.blocks.EXTENT_SIZE", size)
+    assert payloads() == at_once
+
+
+def test_skipped_records_between_messages_are_not_kept(tmp_path: Path) -> None:
+    private = struct.pack("<BQ", 0x90, MIB) + bytes(MIB)
+    file = mcap(tmp_path / "log.mcap", announced(), *([message(), private] * 80))
+    tracemalloc.start()
+    try:
+        counts = [len(spans) for block in read_mcap_blocks(file) for spans in block.spans.values()]
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert sum(counts) == 80
+    assert peak < 60 * MIB

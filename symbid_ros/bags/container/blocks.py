@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -60,12 +61,13 @@ class ChunkBatch:
     size: int = 0
     chunks: int = 0
     unchecked: int = 0
-    _parts: list[ChunkRecord | bytes] = field(default_factory=list)
+    _parts: list[ChunkRecord | Buffer] = field(default_factory=list)
     _base: int = 0
-    _entries: list[bytes] = field(default_factory=list)
-    _places: list[tuple[int, int]] = field(default_factory=list)
+    _entries: list[Buffer] = field(default_factory=list)
+    _bases: list[int] = field(default_factory=list)
+    _counts: list[int] = field(default_factory=list)
 
-    def add_message(self, record: bytes) -> None:
+    def add_message(self, record: Buffer) -> None:
         """Add a message record that is outside of chunks."""
         self._add(record, len(record))
 
@@ -75,37 +77,41 @@ class ChunkBatch:
         self.chunks += 1
         self.unchecked += not chunk.crc
 
-    def add_index(self, body: bytes) -> None:
+    def add_index(self, body: Buffer) -> None:
         """Add the body of a message index of the last chunk: channel, size, entries."""
         _, size = INDEX_HEAD.unpack_from(body)
-        entries = body[INDEX_HEAD.size : INDEX_HEAD.size + size]
-        if len(entries) < size or size % INDEX_ENTRY_SIZE:
+        end = INDEX_HEAD.size + size
+        if len(body) < end or size % INDEX_ENTRY_SIZE:
             raise ValueError("a message index is truncated")
-        self._entries.append(entries)
-        self._places.append((self._base, size // INDEX_ENTRY_SIZE))
+        self._entries.append(body[INDEX_HEAD.size : end])
+        self._bases.append(self._base)
+        self._counts.append(size // INDEX_ENTRY_SIZE)
 
     def decompress(self) -> Buffer:
         """Return all records; each chunk is checked against its size and checksum."""
-        parts = [part if isinstance(part, bytes) else part.decompress() for part in self._parts]
+        parts = [
+            part.decompress() if isinstance(part, ChunkRecord) else part for part in self._parts
+        ]
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def starts(self) -> IntArray:
         """Return where messages begin according to the indexes, sorted (N,)."""
-        count = sum(count for _, count in self._places)
-        if count * PAYLOAD_OFFSET > self.size:  # more entries than messages fit in
+        if sum(self._counts) * PAYLOAD_OFFSET > self.size:  # more entries than messages fit in
             return np.empty(0, dtype=np.int64)
-        entries = np.frombuffer(b"".join(self._entries), dtype="<i8").reshape(-1, 2)
-        bases, counts = np.array(self._places, dtype=np.int64).reshape(-1, 2).T
-        return np.sort(entries[:, 1] + np.repeat(bases, counts))
+        offsets = np.frombuffer(b"".join(self._entries), dtype="<i8")[1::2]
+        return np.sort(offsets + np.repeat(np.array(self._bases, dtype=np.int64), self._counts))
 
-    def _add(self, part: ChunkRecord | bytes, size: int) -> None:
+    def _add(self, part: ChunkRecord | Buffer, size: int) -> None:
         self._base = self.size
         self._parts.append(part)
         self.size += size
 
 
+MESSAGE_INDEX = int(Opcode.MESSAGE_INDEX)  # names of enumerations are looked up slowly
 HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")])
 BLOCK_SIZE = 4 * MIB  # chunks are joined to blocks, since each block costs time for each topic
+EXTENT_SIZE = MIB  # read at once: small reads cost time for each record of small chunks
+MAX_HELD = 4 * BLOCK_SIZE  # bytes of extents for a block, of which skipped records may be a part
 MAX_READ_AHEAD = 2 * BLOCK_SIZE  # larger blocks are not decompressed ahead, to save memory
 SKIPPED = frozenset({Opcode.ATTACHMENT, Opcode.METADATA})
 DATA = SKIPPED | {
@@ -179,47 +185,60 @@ class _FileReader:
     def _batches(self) -> Iterator[ChunkBatch]:
         """Yield the chunks of the file, joined to batches of about `BLOCK_SIZE` bytes."""
         batch = ChunkBatch()
-        for opcode, body in self._records():
-            if opcode == Opcode.MESSAGE_INDEX:
+        last, held = memoryview(b""), 0
+        for opcode, extent, start, stop in self._records():
+            if extent is not last:
+                last, held = extent, held + len(extent)
+            body = extent[start + RECORD.size : stop]
+            if opcode == MESSAGE_INDEX:
                 batch.add_index(body)
             elif opcode in (Opcode.CHUNK, Opcode.MESSAGE):
                 chunk = ChunkRecord.parse(body) if opcode == Opcode.CHUNK else None
-                size = RECORD.size + len(body) if chunk is None else chunk.size
-                if batch.size and batch.size + size > BLOCK_SIZE:
+                size = stop - start if chunk is None else chunk.size
+                if batch.size and (batch.size + size > BLOCK_SIZE or held > MAX_HELD):
                     yield batch
-                    batch = ChunkBatch()
+                    batch, held = ChunkBatch(), len(extent)
                 if chunk is None:
-                    batch.add_message(RECORD.pack(opcode, len(body)) + body)
+                    batch.add_message(extent[start:stop])
                 else:
                     batch.add_chunk(chunk)
+            elif opcode == Opcode.HEADER:
+                self._check_profile(body)
             else:
                 self.registry.add(opcode, body)
         yield batch
 
-    def _records(self) -> Iterator[tuple[int, bytes]]:
-        """Yield opcode and body of the data section's records, except irrelevant ones."""
+    def _records(self) -> Iterator[tuple[int, memoryview, int, int]]:
+        """Yield the data section's records, except irrelevant ones.
+
+        These are the opcode, some bytes of the file, and where in them the record starts and stops.
+        """
         with self.file.open("rb") as stream:
             end = self.summary.data_end
-            stream.seek(len(MAGIC))
             before = None
             position = len(MAGIC)
+            extent, start = memoryview(b""), 0
             while position < end:
-                opcode, length = RECORD.unpack(stream.read(RECORD.size))
-                position += RECORD.size + length
+                if len(extent) < start + RECORD.size:
+                    extent, start = _read_extent(stream, position), 0
+                opcode, length = RECORD.unpack_from(extent, start)
+                size = RECORD.size + length
+                position += size
                 if position > end:
                     raise ValueError("a record is truncated")
-                if opcode == Opcode.DATA_END and position == end:
-                    break
-                self._check_order(before, opcode)
-                before = opcode
-                if opcode >= PRIVATE or opcode in SKIPPED:
-                    stream.seek(length, 1)
-                    continue
-                body = stream.read(check_limit("a record", length, MAX_CHUNK))
-                if opcode == Opcode.HEADER:
-                    self._check_profile(body)
-                else:
-                    yield opcode, body
+                if not opcode == before == MESSAGE_INDEX:  # most records, if chunks are small
+                    if opcode == Opcode.DATA_END and position == end:
+                        break
+                    self._check_order(before, opcode)
+                    before = opcode
+                    if opcode >= PRIVATE or opcode in SKIPPED:
+                        start += size
+                        continue
+                if len(extent) < start + size:
+                    check_limit("a record", length, MAX_CHUNK)
+                    extent, start = _read_extent(stream, position - size, size), 0
+                yield opcode, extent, start, start + size
+                start += size
             else:
                 raise ValueError("its data section does not end where its footer says")
         if self.summary.data_crc:
@@ -249,7 +268,7 @@ class _FileReader:
         elif opcode not in DATA:
             raise ValueError(f"a record with opcode {opcode} is in its data section")
 
-    def _check_profile(self, body: bytes) -> None:
+    def _check_profile(self, body: Buffer) -> None:
         if parse_record(Header.read, body).profile == "ros1":
             raise BagError(
                 f"{self.file}: a ROS 1 recording; convert the .bag that it was made from with "
@@ -297,6 +316,12 @@ class _FileReader:
             )
         found = {int(channel): int(self.counts[channel]) for channel in np.flatnonzero(self.counts)}
         warn_of_count_mismatch(self.file, self.summary.statistics, found)
+
+
+def _read_extent(stream: BinaryIO, position: int, size: int = 0) -> memoryview:
+    """Return ``size`` or `EXTENT_SIZE` bytes, whichever are more, or fewer at the file's end."""
+    stream.seek(position)
+    return memoryview(stream.read(max(size, EXTENT_SIZE)))
 
 
 def _message_heads(data: ByteArray, starts: IntArray) -> NDArray[np.void] | None:

@@ -30,6 +30,7 @@ from symbid_ros.bags.container.schema_registry import (
 from symbid_ros.messages.limits import MAX_EXTENTS, MAX_RECORD, MAX_REGISTRY, check_limit
 
 DATA_END_SIZE = RECORD.size + 4
+CHUNK_INDEX = int(Opcode.CHUNK_INDEX)  # names of enumerations are looked up slowly
 
 logger = logging.getLogger("symbid_ros.bags")
 
@@ -77,20 +78,22 @@ def read_summary(file: Path, *, with_chunks: bool = False) -> McapSummary:
             raise ValueError("its footer points beyond the file's end")
         data_crc = _data_crc(stream, start)
         stream.seek(start)
-        crc = 0
-        while (position := stream.tell()) < end:
+        position, crc = start, 0
+        while position < end:
             head = stream.read(RECORD.size)
             opcode, length = RECORD.unpack(head)
             check_limit("a record", length, MAX_RECORD)
-            if position + RECORD.size + length > end:
+            position += RECORD.size + length
+            if position > end:
                 raise ValueError("a record of its summary is truncated")
             body = stream.read(length)
             crc = zlib.crc32(body, zlib.crc32(head, crc))
-            if opcode == Opcode.STATISTICS:
+            if opcode == CHUNK_INDEX:  # most records
+                if with_chunks:
+                    chunks.append(parse_record(ChunkIndex.read, body))
+                    check_limit("a number of chunks", len(chunks), MAX_EXTENTS)
+            elif opcode == Opcode.STATISTICS:
                 statistics = parse_record(Statistics.read, body)
-            elif opcode == Opcode.CHUNK_INDEX and with_chunks:
-                chunks.append(parse_record(ChunkIndex.read, body))
-                check_limit("a number of chunks", len(chunks), MAX_EXTENTS)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 size = check_limit(
                     "the total size of schemas and channels", size + length, MAX_REGISTRY
