@@ -34,9 +34,11 @@ class BaseMotionCheck:
             is_on_base = not model.floating and model.frame(imu.frame_id).link == 0
         except ModelError:
             return  # nothing says where it is
+        if not is_on_base:
+            return
         readings = np.hstack([imu.angular_velocity, imu.linear_acceleration])
         known = np.isfinite(readings).all(axis=1)
-        if not is_on_base or not known.any():
+        if not known.any():
             return
         stamp, rate, force = imu.stamp[known], *np.split(readings[known], 2, axis=1)
         # A gyroscope at rest may have an offset of any size.

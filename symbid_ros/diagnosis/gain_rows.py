@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.contact import contact_jacobian
@@ -44,6 +44,7 @@ from symbid_ros.signals.weak_form import (
     AveragingRows,
     average,
     extended,
+    stacked,
     with_filtered_friction,
 )
 
@@ -192,13 +193,13 @@ class GainLayout:
         def slope(values: FloatArray) -> FloatArray:
             return _slope(values, time)
 
-        parts = C[:, :, : self.efforts.start].reshape(count, model.dof, -1, PER_SENSOR)
+        parts = np.zeros((count, model.dof, self.efforts.start // PER_SENSOR, PER_SENSOR))
+        matrices = parts[..., :9].reshape(*parts.shape[:3], 3, 3)  # a view
         if sensors:
             felt = contact_jacobian(model, self.wrench_frames, poses).transpose(0, 2, 1)
             felt = felt.reshape(count, model.dof, sensors, 2, 3)
             read = readings.wrenches.reshape(count, sensors, 2, 3)
-            matrix = np.einsum("tnfci,tfck->tnfik", felt, read, optimize=True)
-            parts[:, :, :sensors, :9] = matrix.reshape(count, model.dof, sensors, 9)
+            matrices[:, :, :sensors] = np.einsum("tnfci,tfck->tnfik", felt, read, optimize=True)
             parts[:, :, :sensors, 9] = np.einsum(
                 "tnfci,tfci->tnf", felt, slope(read), optimize=True
             )
@@ -209,10 +210,10 @@ class GainLayout:
                 axes = poses.rotation[:, mount.link] @ mount.rotation / len(self.imu_frames)
                 read = readings.specific_force[:, index]
                 matrix = np.einsum("tnc,tci,tk->tnik", force_jacobian, axes, read, optimize=True)
-                parts[:, :, sensors + index, :9] = -matrix.reshape(count, model.dof, 9)
+                matrices[:, :, sensors + index] = -matrix
                 late = _imu_derivative(readings, index, slope)
-                rows = equation_of_motion(parameters, at_base(late, model))
-                parts[:, :, sensors + index, 9] = -rows.K @ parameters.values
+                change = equation_residual(parameters, at_base(late, model), parameters.values)
+                parts[:, :, sensors + index, 9] = change
         C[:, :, : self.efforts.start] = parts.reshape(count, model.dof, -1)
         rows_, columns_ = self._efforts(model)
         effort = np.nan_to_num(readings.effort[:, list(self.driven)])
@@ -290,7 +291,7 @@ def _slope(values: FloatArray, time: FloatArray) -> FloatArray:
 def _imu_derivative(
     readings: SensorSamples, index: int, slope: Callable[[FloatArray], FloatArray]
 ) -> SensorSamples:
-    """Return the time derivative of one IMU's accelerations, with zero for all other motion."""
+    """Return the time derivative of one IMU's accelerations, with zero for all other readings."""
     zeros = np.zeros_like(readings.position)
     omega, alpha, force = (np.zeros_like(readings.specific_force) for _ in range(3))
     alpha[:, index] = slope(readings.angular_acceleration[:, index])
@@ -299,6 +300,8 @@ def _imu_derivative(
         readings,
         velocity=zeros,
         acceleration=zeros,
+        effort=zeros,
+        wrenches=np.zeros_like(readings.wrenches),
         angular_velocity=omega,
         angular_acceleration=alpha,
         specific_force=force,
@@ -341,11 +344,11 @@ class GainRows(AveragingRows):
             return average(self(readings), weights)
         samples = at_base(readings, parameters.model)
         samples = with_filtered_friction(samples, parameters, readings.recorded)
-        K, y = averaged_equation_of_motion(parameters, samples, csr_array(vstack(weights)))
+        K, y = averaged_equation_of_motion(parameters, samples, stacked(weights))
         gains = self.gains.columns(parameters, readings)
-        rows = Rows(-np.concatenate([gains, self._further(readings)], axis=2), y)
+        rows = Rows(np.concatenate([gains, self._further(readings)], axis=2), y)
         of_gains = average(iter([valid_rows(readings.stamp, rows, self._valid(samples))]), weights)
-        return extended(of_gains, K)
+        return extended([replace(one, K=-one.K) for one in of_gains], K)
 
     def _further(self, readings: SensorSamples) -> FloatArray:
         model = self.parameters.model

@@ -145,7 +145,8 @@ class JitterCheck:
             part = slice(block.start, block.stop + lag)
             rates, times, places = velocity[part], time[part], position[part]
             steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None]
-            path = np.vstack([np.zeros((1, rates.shape[1])), np.cumsum(steps, axis=0)])
+            path = np.zeros_like(rates)
+            np.cumsum(steps, axis=0, out=path[1:])
             moved = places[lag:] - places[:-lag]
             return (path[lag:] - path[:-lag]) - moved, moved / SPAN
 

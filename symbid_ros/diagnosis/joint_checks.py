@@ -150,7 +150,8 @@ class JointCheck:
         seconds = (time[first + lag] - time[first])[:, None]
         change = (position[first + lag] - position[first]) / seconds
         steps = 0.5 * (joints.velocity[1:] + joints.velocity[:-1]) * np.diff(time)[:, None]
-        path = np.vstack([np.zeros((1, len(self.names))), np.cumsum(steps, axis=0)])
+        path = np.zeros_like(position)
+        np.cumsum(steps, axis=0, out=path[1:])
         velocity = (path[first + lag] - path[first]) / seconds
         self._moved += [
             np.count_nonzero(change < -SLOWEST, axis=0),
@@ -171,13 +172,14 @@ class JointCheck:
         """Count the jumps of successive positions (N, J) that come back at once."""
         if len(position) < 3:
             return
-        jump, rest = position[1:-1] - position[:-2], position[2:] - position[:-2]
+        jump = position[1:-1] - position[:-2]
+        row, joint = np.nonzero(np.abs(jump) > JUMP)
+        jump, rest = jump[row, joint], position[row + 2, joint] - position[row, joint]
         size = np.abs(jump)
         beyond = np.abs(np.remainder(jump + np.pi, 2 * np.pi) - np.pi)
         is_wrapped = (size > np.pi) & (beyond < BACK * size)
-        self._returns += np.count_nonzero(
-            (size > JUMP) & (np.abs(rest) < BACK * size) & ~is_wrapped, axis=0
-        )
+        returns = (np.abs(rest) < BACK * size) & ~is_wrapped
+        self._returns += np.bincount(joint[returns], minlength=len(self._returns))
 
     def _compare_with_constant(self, effort: FloatArray, is_finite: BoolArray) -> None:
         """Compare efforts (N, J) with the first one of each joint."""

@@ -3,6 +3,7 @@
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 
 import numpy as np
 
@@ -43,8 +44,8 @@ class ChannelChanges:
         Nanoseconds.
     changed : (N,) bool
         Whether the reading differs from the previous message.
-    is_blank : (N,) bool
-        Whether the reading is exactly zero or NaN, which is not frozen.
+    values : (N,) or (N, c) float64
+        The reading.
     position : (N,) float64 or None
         Position of the joint that the reading belongs to; None for other sensors.
     is_position : bool
@@ -55,9 +56,14 @@ class ChannelChanges:
     name: str
     stamp: IntArray
     changed: BoolArray
-    is_blank: BoolArray
+    values: FloatArray
     position: FloatArray | None = None
     is_position: bool = False
+
+    def is_blank(self, message: int) -> bool:
+        """Return whether a reading is exactly zero or NaN, which is not frozen."""
+        values = self.values[message]
+        return bool(np.all((values == 0) | np.isnan(values)))
 
     def is_at_rest(self, first: int, stop: int) -> bool:
         """Return whether the joint rests from one message up to another.
@@ -201,17 +207,18 @@ class FreezeDetector:
 def _all_changes(streams: Streams, during: tuple[int, int]) -> Iterator[ChannelChanges]:
     joints = streams.joints
     inside = _inside(joints.stamp, during)
-    stamp = joints.stamp[inside]
+    stamp, position = joints.stamp[inside], np.asfortranarray(joints.position[inside])
     for field_name in ("position", "effort"):
-        changed, is_blank = (one[inside] for one in _changes(getattr(joints, field_name)))
+        values = np.asfortranarray(getattr(joints, field_name))
+        changed = _changes(values)[inside]
         for column, name in enumerate(joints.names):
             yield ChannelChanges(
                 joints.topic,
                 f"{field_name} of {name}",
                 stamp,
                 changed[:, column],
-                is_blank[:, column],
-                joints.position[inside, column],
+                values[inside, column],
+                position[:, column],
                 is_position=field_name == "position",
             )
     for imu in streams.imus:
@@ -221,17 +228,23 @@ def _all_changes(streams: Streams, during: tuple[int, int]) -> Iterator[ChannelC
 
 
 def _any_changes(sensor: Stream, during: tuple[int, int], *vectors: FloatArray) -> ChannelChanges:
-    changed, is_blank = _changes(np.hstack(vectors))
+    values = _columns(vectors)
     inside = _inside(sensor.stamp, during)
-    any_changed, all_blank = np.any(changed[inside], axis=1), np.all(is_blank[inside], axis=1)
-    return ChannelChanges(sensor.topic, "", sensor.stamp[inside], any_changed, all_blank)
+    # Uniting columns takes a fraction of the time of np.any for each message.
+    changed: BoolArray = reduce(np.logical_or, _changes(values)[inside].T)
+    return ChannelChanges(sensor.topic, "", sensor.stamp[inside], changed, values[inside])
 
 
-def _changes(values: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Return which values (N, c) differ from those before, and which are zero or NaN."""
-    changed = np.ones(values.shape, dtype=bool)
+def _changes(values: FloatArray) -> BoolArray:
+    """Return which values (N, c) differ from those before."""
+    changed = np.ones_like(values, dtype=bool)
     changed[1:] = differs(values[1:], values[:-1])
-    return changed, np.asarray((values == 0) | np.isnan(values))
+    return changed
+
+
+def _columns(vectors: Sequence[FloatArray]) -> FloatArray:
+    """Return vectors (N, 3) beside one another, in Fortran order: columns are used one by one."""
+    return np.vstack([one.T for one in vectors]).T
 
 
 def _inside(stamp: IntArray, during: tuple[int, int]) -> slice:
@@ -254,7 +267,7 @@ def _constant_runs(reading: ChannelChanges) -> Iterator[tuple[int, int]]:
     for place in np.flatnonzero(np.diff(edges) >= FEWEST_REPEATS).tolist():
         first, stop = int(edges[place]), int(edges[place + 1])
         duration = (reading.stamp[stop - 1] - reading.stamp[first]) * 1e-9
-        if duration >= SHORTEST and not reading.is_blank[first]:
+        if duration >= SHORTEST and not reading.is_blank(first):
             yield first, stop
 
 
@@ -280,6 +293,7 @@ NEXT_VALUES = 16
 # and had this many values in total, because a coarse channel is often at its extremes.
 VALUES = 50
 MANY = 256  # values of which the distinct ones are found quickly
+SAMPLE = 4096  # values in which extreme ones are sought first
 
 
 @dataclass
@@ -348,16 +362,18 @@ class SaturationDetector:
         """Take what was stamped from the first up to the second, ns."""
         for topic, names, stamp, readings in channels(streams):
             inside = slice(*np.searchsorted(stamp, during).tolist())
-            block = readings[inside]
+            block = np.asfortranarray(readings[inside])
             changed = differs(block[1:], block[:-1])
-            moving = np.count_nonzero(changed, axis=1)
+            moving = changed.sum(axis=1, dtype=np.int16)
             for column, name in enumerate(names):
                 # At rest without noise all channels repeat; only a limit stops a single channel.
                 others_move = moving - changed[:, column] > 0
                 self._add(topic, name, block[1:, column], others_move)
 
     def _add(self, topic: str, name: str, values: FloatArray, moving: BoolArray) -> None:
-        values = values[moving & np.isfinite(values)]
+        counted = moving & np.isfinite(values)
+        if not counted.all():
+            values = values[counted]
         if self.values[topic, name] < VALUES:
             count = max(len(distinct(some)) for some in (values[:MANY], values[-MANY:]))
             if count < VALUES:
@@ -397,13 +413,13 @@ class SaturationDetector:
 
 def _largest(values: FloatArray, count: int) -> FloatArray:
     """Return the largest distinct values, at most ``count`` of them."""
-    # Distinct values are found among few, because sorting all of them takes long.
-    some = np.partition(values, -MANY)[-MANY:] if len(values) > MANY else values
-    found = distinct(some)
-    # The smallest of the few may be followed by equal ones, but not by larger ones.
-    if len(found) < count and len(some) < len(values):
-        found = distinct(values)
-    return found[-count:]
+    # Sorting all values takes long: those below one of the largest of a sample are omitted.
+    sample = values[:: max(1, len(values) // SAMPLE)]
+    if len(sample) > count:
+        found = distinct(values[values >= np.partition(sample, -count)[-count]])
+        if len(found) >= count:
+            return found[-count:]
+    return distinct(values)[-count:]
 
 
 def channels(streams: Streams) -> Iterator[tuple[str, list[str], IntArray, FloatArray]]:
@@ -420,11 +436,11 @@ def channels(streams: Streams) -> Iterator[tuple[str, list[str], IntArray, Float
             imu.topic,
             names,
             imu.stamp,
-            np.hstack([imu.angular_velocity, imu.linear_acceleration]),
+            _columns([imu.angular_velocity, imu.linear_acceleration]),
         )
     for wrench in streams.wrenches:
         names = [f"wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz"]
-        yield wrench.topic, names, wrench.stamp, np.hstack([wrench.force, wrench.torque])
+        yield wrench.topic, names, wrench.stamp, _columns([wrench.force, wrench.torque])
 
 
 def mask_faulty_messages(streams: Streams) -> tuple[Streams, tuple[Finding, ...]]:

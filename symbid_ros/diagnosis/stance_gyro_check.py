@@ -97,16 +97,21 @@ class StanceGyroMoments:
         count = len(readings)
         inner = slice(shifts, count - shifts)
         read = readings.angular_velocity[:, self.imu]
+        read = read - read.mean(axis=0)
+        square = np.sum(read**2, axis=1)
         for expected, is_standing in self._joint_rates(readings):
             stands = is_standing[inner]
             if stands.sum() <= 2 * shifts:
                 continue
             swing = (expected[inner] - expected[inner][stands].mean(axis=0)) * stands[:, None]
+            # The swing is zero where no foot stands, and so is its sum. The means over standing
+            # samples are thus subtracted from the sums of squares alone.
+            weight = stands.astype(np.float64)
             for shift in range(2 * shifts + 1):
-                late = read[shift : shift + len(stands)]
-                late = (late - late[stands].mean(axis=0)) * stands[:, None]
-                self.cross[shift] += swing.T @ late
-                self.read[shift] += np.sum(late**2)
+                late = slice(shift, shift + len(stands))
+                self.cross[shift] += swing.T @ read[late]
+                total = weight @ read[late]
+                self.read[shift] += weight @ square[late] - total @ total / weight.sum()
             self.expected += swing.T @ swing
             self.slope_square += float(np.sum((np.diff(swing, axis=0) / self.step) ** 2))
             self.count += int(stands.sum())

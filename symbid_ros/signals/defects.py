@@ -202,13 +202,20 @@ def typical_period(stamps: IntArray) -> float:
     if len(stamps) < 2:
         return 0.0
     spans = [span for span in SPANS if span == 1 or 4 * span <= len(stamps)]
-    steps = [(stamps[span:] - stamps[:-span]) / span for span in spans]
-    periods = [float(np.median(one)) for one in steps]
-    for period, one in zip(periods, steps, strict=True):
-        varies = np.median(np.abs(one - period)) >= JITTER * period
-        if not varies and periods[-1] < BURSTS * period:
+    longest = float(np.median(_steps(stamps, spans[-1])))
+    for span in spans[:-1]:
+        steps = _steps(stamps, span)
+        period = float(np.median(steps))
+        varies = np.median(np.abs(steps - period)) >= JITTER * period
+        if not varies and longest < BURSTS * period:
             return period
-    return periods[-1]
+    return longest
+
+
+def _steps(stamps: IntArray, span: int) -> FloatArray:
+    """Return the intervals over ``span`` messages, divided by it."""
+    steps: FloatArray = (stamps[span:] - stamps[:-span]) / span
+    return steps
 
 
 @dataclass(frozen=True)

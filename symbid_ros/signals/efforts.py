@@ -8,6 +8,7 @@ joints are not affected.
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -127,8 +128,9 @@ def measured_efforts(
 
 def rounding_errors(effort: FloatArray) -> FloatArray:
     """Return the size (N,) up to which efforts (N, J) of an instant count as zero."""
-    size = np.where(np.isfinite(effort), np.abs(effort), 0.0)
-    return np.asarray(ROUNDING * size.max(axis=1, initial=0.0))
+    size = np.where(np.isfinite(effort), np.abs(effort), 0.0).T
+    # Comparing columns takes a fraction of the time of each row's maximum.
+    return np.asarray(ROUNDING * reduce(np.maximum, size, np.zeros(len(effort))))
 
 
 def _within_gaps(stamp: IntArray, finite: BoolArray, longest: float) -> BoolArray:

@@ -74,10 +74,13 @@ def _position_spikes(stamp: IntArray, position: FloatArray) -> BoolArray:
     if len(known) < FEWEST:
         return found
     stamp, position = stamp[known], position[known]
+    # Few positions ever change so abruptly. This takes a fraction of the time of the medians.
+    largest = np.abs(np.diff(position, 2)).max()
+    if largest < LEAST_JUMP:
+        return found
     period = float(np.median(np.diff(stamp)))
     least = max(LEAST_JUMP, LARGEST_ACCELERATION * (period * 1e-9) ** 2)
-    # Few positions ever change so abruptly. This takes a fraction of the time of the medians.
-    if np.abs(np.diff(position, 2)).max() < least:
+    if largest < least:
         return found
     away = np.abs(position - np.median(_windows(position), axis=1))
     typical, step = (
@@ -99,12 +102,16 @@ def _load_spikes(load: FloatArray) -> BoolArray:
     if len(known) < FEWEST:
         return found
     most = int(MOST * len(known)) + 1
-    largest = np.sort(np.partition(load[known], -most - 1)[-most - 1 :])[::-1]
+    values = load[known]
+    # Sorting the largest takes longer than finding that many are alike.
+    if np.count_nonzero(OTHERS_RATIO * values > values.max()) > most:
+        return found
+    largest = np.sort(np.partition(values, -most - 1)[-most - 1 :])[::-1]
     gaps = np.flatnonzero((largest[:-1] >= OTHERS_RATIO * largest[1:]) & (largest[1:] > 0))
     if not len(gaps) or largest[gaps[-1]] < LEAST_LOAD:
         return found
-    places = np.flatnonzero(load[known] >= largest[gaps[-1]])
-    usual = np.median(_windows(load[known])[places], axis=1)
+    places = np.flatnonzero(values >= largest[gaps[-1]])
+    usual = np.median(_windows(values)[places], axis=1)
     found[known[places[usual < largest[gaps[-1]]]]] = True
     return found
 

@@ -10,6 +10,7 @@ from symbid_ros.diagnosis.sensor_faults import (
     ExtremeCounts,
     FreezeDetector,
     SaturationDetector,
+    _largest,
     mask_faulty_messages,
 )
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
@@ -327,3 +328,10 @@ def test_a_coarse_channel_has_no_limit(streams, levels, is_limit) -> None:
     found = SaturationDetector()
     found.add(streams)
     assert (("/wrench", "wrench.force.x", 1) in found.limits) is is_limit
+
+
+@pytest.mark.parametrize("distinct_values", [1, 10, 40, 10**6])
+def test_largest_values_are_those_of_all_sorted(distinct_values):
+    values = np.random.default_rng(7).integers(distinct_values, size=30_000) / 8
+    for some in (values, values[:17], values[:300], np.sort(values), np.sort(values)[::-1]):
+        assert _largest(some, 17).tolist() == np.unique(some)[-17:].tolist()
