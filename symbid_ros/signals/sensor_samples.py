@@ -198,9 +198,13 @@ def at_base(readings: SensorSamples, model: RobotModel) -> Samples:
 def probed(segment: Segment, model: RobotModel, period: float = PROBE_PERIOD) -> Samples:
     """Return unfiltered samples of a segment at few instants, ``period`` seconds apart."""
     stride = max(1, int(period * segment.rate))
-    readings = smoothed(segment, LowPass(0))
-    # Indices copy; a slice would be a view and keep the whole segment in memory.
-    return at_base(readings[np.arange(0, len(readings), stride)], model)
+    unfiltered = LowPass(0)
+    # Derivatives need some samples on either side. The copies do not keep these in memory.
+    edge = unfiltered.settling(segment.rate)
+    places = np.arange(edge, len(segment) - edge, stride)
+    near = places + np.arange(-edge, edge + 1)[:, None]
+    readings = smoothed(map_arrays(segment, lambda values: values[near]), unfiltered)
+    return at_base(map_arrays(readings, lambda values: values[0].copy()), model)
 
 
 def _mean_base_motion(

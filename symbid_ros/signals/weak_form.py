@@ -13,7 +13,7 @@ windows.
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.sparse import csr_array, vstack
@@ -160,7 +160,7 @@ class EquationRows(AveragingRows):
         if not self.skips_samples:
             return average(self(readings), weights)
         samples = self._samples(readings)
-        K, y = averaged_equation_of_motion(parameters, samples, csr_array(vstack(weights)))
+        K, y = averaged_equation_of_motion(parameters, samples, stacked(weights))
         empty = Rows(np.empty((*y.shape, 0)), y)
         forces = average(iter([rows_that_hold(parameters, samples, empty)]), weights)
         return extended(forces, K)
@@ -385,7 +385,15 @@ def window_centres(span: int, windows: Sequence[float]) -> list[FloatArray]:
 
 def hann_weights(readings: SensorSamples, centres: FloatArray, length: float) -> csr_array:
     """Return the weights (W, N) of samples in Hann windows around the centres (W,), s."""
-    time = (readings.stamp - readings.stamp[0]) * 1e-9
+    since = readings.stamp - readings.stamp[0]
+    return _hann_weights(since.tobytes(), centres.tobytes(), length)
+
+
+@lru_cache(maxsize=8)
+def _hann_weights(since: bytes, middles: bytes, length: float) -> csr_array:
+    """Return the weights of samples at int64 times, ns, which most blocks of a log share."""
+    time = np.frombuffer(since, dtype=np.int64) * 1e-9
+    centres = np.frombuffer(middles)
     first = np.searchsorted(time, centres - length / 2, side="right")
     last = np.searchsorted(time, centres + length / 2, side="left")
     rows = np.repeat(np.arange(len(centres)), last - first)
@@ -396,6 +404,11 @@ def hann_weights(readings: SensorSamples, centres: FloatArray, length: float) ->
     total = np.bincount(rows, values, minlength=len(centres))
     values /= total[rows]
     return csr_array((values, (rows, columns)), shape=(len(centres), len(time)))
+
+
+def stacked(weights: Sequence[csr_array]) -> csr_array:
+    """Return the weights (ΣW, N) of windows one after another."""
+    return weights[0] if len(weights) == 1 else csr_array(vstack(weights))
 
 
 @dataclass(frozen=True)
@@ -435,7 +448,7 @@ def average(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> list[
         columns = slice(start, start + count)
         terms = []
         for weight in weights:
-            some = weight[:, columns]
+            some = weight if count == weight.shape[1] else weight[:, columns]
             slips = None if part.slips is None else some @ part.slips
             combined = None if part.combined is None else part.combined.averaged(some)
             shape = some.shape[0], n, p

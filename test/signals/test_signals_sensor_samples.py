@@ -14,7 +14,13 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import align, align_checked
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
-from symbid_ros.signals.sensor_samples import SensorSamples, build_samples, smoothed
+from symbid_ros.signals.sensor_samples import (
+    SensorSamples,
+    at_base,
+    build_samples,
+    probed,
+    smoothed,
+)
 
 UNFILTERED = LowPass(cutoff=0)
 
@@ -261,3 +267,15 @@ def test_edges_are_removed_and_short_segments_are_empty(length, edge, left, fram
     np.testing.assert_allclose(found.angular_acceleration, slope)
     assert found.velocity.shape == found.acceleration.shape == (left, 2)
     assert (found.imu_frames, found.wrench_frames) == (frames, ("sole",))
+
+
+@pytest.mark.parametrize(("length", "count"), [(1000, 20), (5, 1), (4, 0)])
+def test_probes_are_some_of_all_unfiltered_samples(length, count):
+    model = random_robot(1, links=4, wrench_frames=1)
+    streams, _ = streams_of(TreeSimulation(model, 1.0, 1))
+    segment = align_checked(streams, model)[0].cut(0, length)
+    every = at_base(smoothed(segment, UNFILTERED), model)
+    probes = probed(segment, model, 0.05)
+    assert len(probes) == count
+    for name in ("stamp", "velocity", "acceleration", "base_specific_force", "wrenches"):
+        np.testing.assert_array_equal(getattr(probes, name), getattr(every, name)[::50])

@@ -126,7 +126,8 @@ class FoldingPool:
             if sum(len(each.stamp) for each in self._batch[window]) >= BATCH:
                 self._fold(window)
         self._added += 1
-        if self._added % RELEASE_PERIOD == 0:
+        # A single thread uses again what it has freed, sooner than the system would clear it.
+        if self._pool is not None and self._added % RELEASE_PERIOD == 0:
             _release_free_memory()
 
     def _fold(self, window: float) -> None:

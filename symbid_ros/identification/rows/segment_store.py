@@ -1,5 +1,6 @@
 """Segments of a log that is iterated several times: in memory, and beyond a limit in a file."""
 
+import mmap
 import os
 import tempfile
 from collections.abc import Iterator
@@ -7,9 +8,10 @@ from dataclasses import dataclass, fields, replace
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from symbid_ros.signals.segments import Segment
+
+ALIGNMENT = 64  # bytes
 
 
 class SegmentStore:
@@ -61,6 +63,7 @@ class _Stored:
     empty: Segment
     count: int
     places: dict[str, int]
+    end: int
 
     @classmethod
     def write(cls, segment: Segment, file: IO[bytes]) -> "_Stored":
@@ -68,7 +71,8 @@ class _Stored:
         for entry in fields(segment):
             values = getattr(segment, entry.name)
             if isinstance(values, np.ndarray):
-                places[entry.name] = file.seek(0, os.SEEK_END)
+                end = file.seek(0, os.SEEK_END)
+                places[entry.name] = file.seek(-end % ALIGNMENT, os.SEEK_CUR)
                 left = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
                 while left:
                     left = left[file.write(left) :]
@@ -78,17 +82,16 @@ class _Stored:
             replace(empty, **{name: getattr(empty, name).copy() for name in places}),
             len(segment),
             places,
+            file.tell(),
         )
 
     def read(self, file: IO[bytes]) -> Segment:
+        # Mapping spares the copies, and reads no array that is not used.
+        start = min(self.places.values()) // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
+        content = mmap.mmap(file.fileno(), self.end - start, access=mmap.ACCESS_COPY, offset=start)
         arrays: dict[str, Any] = {}
         for name, place in self.places.items():
-            like: NDArray[Any] = getattr(self.empty, name)
-            values = np.empty((self.count, *like.shape[1:]), like.dtype)
-            left, position = values.reshape(-1).view(np.uint8).data, place
-            while left:
-                # Threads may read at the same time, so the file's position is not used.
-                done = os.preadv(file.fileno(), [left], position)
-                left, position = left[done:], position + done
-            arrays[name] = values
+            shape = self.count, *getattr(self.empty, name).shape[1:]
+            dtype = getattr(self.empty, name).dtype
+            arrays[name] = np.ndarray(shape, dtype, content, place - start)
         return replace(self.empty, **arrays)
