@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from itertools import islice
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from symbid_ros.dynamics.unmeasured_contacts import contact_radius, with_contacts
 from symbid_ros.identification.conventions.loose_fit import LooseFit, loose_rows, some_blocks
@@ -65,6 +64,8 @@ def with_fitted_radii(
     of_file = fit(stated)
     if of_file is None or of_file.unexplained > MOST_LEFT:
         return contacts
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - loads slowly
+
     best = minimize_scalar(
         cost, bounds=(0.0, largest), method="bounded", options={"xatol": TOLERANCE * largest}
     )
