@@ -46,6 +46,16 @@ def limbs_without_sensor(model: RobotModel, sensors: Sequence[str]) -> tuple[str
     return tuple(found)
 
 
+def joints_of_limbs(model: RobotModel, limbs: Sequence[str]) -> tuple[str, ...]:
+    """Return the joints between the base and the frames or links at the ends of limbs."""
+    links = [model.frame(name).link for name in limbs]
+    return tuple(
+        name
+        for index, name in enumerate(model.joint_names)
+        if any(model.ancestors[index, link] for link in links)
+    )
+
+
 def _joints(model: RobotModel, link: int) -> _Joints:
     """Return the joints between a link and the base."""
     joints = []

@@ -34,7 +34,7 @@ from symbid_ros.diagnosis.joint_efforts import (
     effort_delay_error,
     late_efforts,
 )
-from symbid_ros.diagnosis.like_limbs import limbs_without_sensor
+from symbid_ros.diagnosis.like_limbs import joints_of_limbs, limbs_without_sensor
 from symbid_ros.diagnosis.missing_body import with_missing_body
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stance_gyro_check import (
@@ -139,8 +139,13 @@ def check_model(
         What the user's options have changed already.
     """
     checks = _check_in_order(statistics, joints, imus, wrenches, conversions)
-    disturbed = [one.severity for one in checks.findings if one.kind in OF_MISSING_WRENCH]
     limbs = limbs_without_sensor(statistics.model, statistics.gains.wrench_frames)
+    own = {f"{name}/gain" for name in joints_of_limbs(statistics.model, limbs)}
+    disturbed = [
+        one.severity
+        for one in checks.findings
+        if one.kind in OF_MISSING_WRENCH or (one.kind is Kind.TORQUE_SIGN and own >= {*one.figures})
+    ]
     if disturbed and limbs:
         checks.findings.insert(0, _missing_wrench(limbs, max(disturbed)))
     return checks

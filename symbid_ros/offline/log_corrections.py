@@ -274,6 +274,8 @@ class LogCorrections:
             else:
                 factors[name] = gain / common
         figures = _figures(found)
+        if any(one.kind is Kind.MISSING_WRENCH for one in found.findings):
+            return self.setup.options != before  # efforts contain forces that were not measured
         # Masses of the model are wrong instead if the doctor says so and gives no joint's factor.
         if "masses_times" not in figures or any("/reads" in name for name in figures):
             self._correct_factors(factors, unknown, {**found.figures, **figures})

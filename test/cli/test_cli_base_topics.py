@@ -125,6 +125,16 @@ def test_legs_without_an_imu_leave_the_base_open(symbid_here, urdf, steps, tmp_p
     assert not inspect_robot(urdf, [bag], "fixed").has_open_question
 
 
+def test_feet_without_sensors_are_named_instead_of_units(urdf, tmp_path):
+    model = load_model(urdf)
+    log = standing_log(model, 20.0, 3)
+    for foot in FEET[:2]:
+        log.pop(f"/{foot}/wrench")
+    setup = inspect_robot(urdf, [record_log(log, model, tmp_path / "bag")])
+    assert any("the log has no wrench at" in line for line in setup.comments[""])
+    assert not {"effort_scale", "drive_gain"} & set(setup.options)
+
+
 def test_the_odometry_of_a_wheeled_base_is_listed(tmp_path):
     arm = random_robot(3, links=3, floating=False, wrench_frames=0)
     (tmp_path / "arm.urdf").write_text(urdf_text(arm))

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
-from symbid_ros.diagnosis.like_limbs import limbs_without_sensor
+from symbid_ros.diagnosis.like_limbs import joints_of_limbs, limbs_without_sensor
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments, fit_gyro
 from symbid_ros.estimation.prior import draw_prior
@@ -335,11 +335,24 @@ def test_a_foot_without_its_sensor(judged) -> None:
     assert first.severity is other.severity
 
 
+def test_two_feet_without_their_sensors_are_no_wrong_signs(judged) -> None:
+    def spoil(log) -> None:
+        log.pop(FIRST)
+        log.pop(SECOND)
+
+    first, *_ = judged(spoil).findings
+    assert first.kind is Kind.MISSING_WRENCH
+    assert all(topic.split("/")[1] in first.message for topic in (FIRST, SECOND))
+
+
 def test_limbs_with_the_same_joints_are_alike(model) -> None:
     assert limbs_without_sensor(model, FEET[:2]) == tuple(
         foot for foot in (frame.name for frame in model.frames) if foot in FEET[2:]
     )
     assert limbs_without_sensor(model, FEET) == ()
+    legs = {name.split("_")[0] for name in joints_of_limbs(model, FEET[2:])}
+    assert legs == {foot.split("_")[0] for foot in FEET[2:]}
+    assert joints_of_limbs(model, ()) == ()
     assert limbs_without_sensor(model, FEET[:1]) == ()  # a single sensor may be the only one
     assert limbs_without_sensor(replace(model, floating=False), FEET[:2]) == ()
 
