@@ -279,11 +279,14 @@ def report(
         given = {one.name for one in options_of(LogOptions)} - {*log.of_robot}
         refuse_unused(log, "without --bag; give both", given)
     folders = list(dict.fromkeys(folders))
-    out = folders[-1] / "report.html" if out is None else out
+    if out is not None:
+        check_output_file(out, is_page)
     with progress_shown():
         loaded = None if model is None else load_model(model, base)
         found = [load_result(folder, loaded) for folder in folders]
-        check_output_file(out, is_page)
+        if out is None:
+            out = folders[-1] / "report.html"
+            check_output_file(out, is_page)
         shown = found[-1]
         recording = load_bag(bag, shown.parameters.model, log) if bag else None
         ground_truth = None

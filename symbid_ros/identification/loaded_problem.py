@@ -55,6 +55,7 @@ from symbid_ros.model.load import model_files
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload, with_payloads
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.end_stops import end_stop_depth
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import COMPLIANCE
 
@@ -268,7 +269,9 @@ def _corrected(
     model, segments = parameters.model, dataset.segments
     options = with_found_gravity(options, model, segments, dataset.source)
     options = with_found_moments(options, model, segments, dataset.source)
-    return with_found_end_stops(options, model, segments, dataset.source)
+    if end_stop_depth(dataset.samples.position, model.joints).any():
+        options = with_found_end_stops(options, model, segments, dataset.source)
+    return options
 
 
 def _digests(robot: RobotModel, options: IdentifyOptions, log: Log | None = None) -> InputDigests:

@@ -73,7 +73,7 @@ def find_end_stops(segments: Iterable[Segment], robot: RobotModel) -> tuple[EndS
             if len(blocks) < BLOCKS and end_stop_depth(block.position, robot.joints).any():
                 blocks[int(block.stamp[0])] = block
     is_driven = [not one.sensor and one.mimic is None and one.effort > 0 for one in robot.joints]
-    is_end = (samples > 0) & (samples < MOST * count) & is_driven
+    is_end = (samples > 0) & (samples < MOST * count) & np.array(is_driven, dtype=bool)
     order = np.argsort(-np.where(is_end, samples, 0.0), axis=None)[: min(ENDS, is_end.sum())]
     sides, joints = np.unravel_index(order, samples.shape)
     ends = [
