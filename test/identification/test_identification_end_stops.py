@@ -3,10 +3,10 @@
 import logging
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 from drive_logs import arm
+from mujoco_joints import driven_joints
 
 import symbid_ros as sy
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
@@ -14,12 +14,10 @@ from symbid_ros.errors import ModelError
 from symbid_ros.identification.conventions.end_stops import find_end_stops
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.rows.aligned_log import AlignedLog
-from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.end_stops import NEAR, at_end_stops, end_stop_depth
 from symbid_ros.signals.weak_form import cut_into_blocks, equation_rows, windowed_rows
 
-STEP, SECONDS = 1e-3, 24.0
 END = 0.75  # of the first joint's range; the motion goes to 0.9
 
 
@@ -30,26 +28,7 @@ def limited(robot, end):
 
 
 def simulated(robot, *, has_stops):
-    """Return a noisy log of joints that MuJoCo drives, to the ends of their ranges if told."""
-    model = mujoco.MjModel.from_xml_string(mjcf_text(robot))
-    model.opt.timestep = STEP
-    if not has_stops:
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
-    data, rng = mujoco.MjData(model), np.random.default_rng(3)
-    frequency, phase = rng.uniform(0.5, 3.0, (4, model.nv)), rng.uniform(0, 6, (4, model.nv))
-    rows = np.empty((round(SECONDS / STEP), 3, model.nv))
-    for row in rows:
-        angle = phase + frequency * data.time
-        wanted, rate = np.sin(angle).sum(axis=0) / 4, (frequency * np.cos(angle)).sum(axis=0) / 4
-        data.qfrc_applied = 100 * (wanted - data.qpos) + 20 * (rate - data.qvel)
-        mujoco.mj_forward(model, data)
-        row[:] = data.qpos, data.qfrc_applied, data.qfrc_constraint
-        mujoco.mj_step(model, data)
-    position, effort, of_stops = rows.transpose(1, 0, 2)
-    effort = effort + 2e-3 * np.sqrt(np.mean(effort**2, axis=0)) * rng.normal(size=effort.shape)
-    time = STEP * np.arange(len(rows))
-    log = sy.Log.from_arrays(robot, time=time, position=position, effort=effort, start=1.0)
-    return log, position, of_stops
+    return driven_joints(robot, 24.0, 100.0, 20.0, seed=3, has_stops=has_stops)
 
 
 @pytest.fixture(scope="module")
@@ -84,15 +63,25 @@ def test_rows_with_the_force_of_a_stop_are_left_out(robot, log, caplog):
     assert f"{first} leans on the end of its range at 0.75" in caplog.text
     assert found.estimate.holdout.percent_after < 0.5
     assert not found.alarms
-    truth = ParameterSet(robot)
-    errors = {}
-    for name, result in (("found", found), ("blind", blind)):
-        values = {one: result.parameters[one].value for one in truth.names[: truth.inertial]}
-        error = np.array([values[one] for one in values]) - truth.values[: truth.inertial]
-        std = np.array([result.parameters[one].std for one in values])
-        errors[name] = np.abs(error / np.maximum(std, 1e-12))
-    assert errors["found"].max() < 5.0
-    assert errors["blind"].max() > 10.0 or blind.alarms
+    error, std = error_and_std(found, robot)
+    assert np.abs(error / np.maximum(std, 1e-12)).max() < 5.0
+    # Forces that another motion needs, of which no stop is a part.
+    rng = np.random.default_rng(5)
+    position, velocity, acceleration = rng.normal(size=(3, 200, len(robot.joints)))
+    K = sy.regressor(robot, position, velocity, acceleration)
+    of_truth = np.linalg.norm(K @ ParameterSet(robot).values)
+    knowing, ignoring = (
+        np.linalg.norm(K @ error_and_std(one, robot)[0]) / of_truth for one in (found, blind)
+    )
+    assert knowing < 0.001
+    assert ignoring > 0.02
+
+
+def error_and_std(result, robot):
+    """Return errors (p,) of the links' parameters, and their standard deviations."""
+    names, truth = ParameterSet(robot).names, ParameterSet(robot).values
+    found = [result.parameters[name] for name in names]
+    return np.array([one.value for one in found]) - truth, np.array([one.std for one in found])
 
 
 def test_an_end_without_a_force_is_no_stop(robot):

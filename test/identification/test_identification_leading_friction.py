@@ -6,36 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 from drive_logs import arm
+from mujoco_joints import STEP, driven_joints
 
 import symbid_ros as sy
 from symbid_ros.dynamics.friction import CREEP_SPEED, coulomb_column, creep_column, lead_column
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.model.export_mjcf import mjcf_text
 
-STEP = 1e-3
 # MuJoCo's defaults of solimpfriction and solreffriction.
 IMPEDANCE, LARGEST_IMPEDANCE, TIME_CONSTANT = 0.9, 0.95, 0.02
-
-
-def simulated(robot, seconds, stiffness, damping):
-    """Return a noisy log of MuJoCo's joints, with the softness of friction that it has."""
-    model = mujoco.MjModel.from_xml_string(mjcf_text(robot))
-    model.opt.timestep = STEP
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
-    data, rng = mujoco.MjData(model), np.random.default_rng(1)
-    frequency, phase = rng.uniform(0.5, 3.0, (4, model.nv)), rng.uniform(0, 6, (4, model.nv))
-    rows = np.empty((round(seconds / STEP), 2, model.nv))
-    for row in rows:
-        angle = phase + frequency * data.time
-        wanted, rate = np.sin(angle).sum(axis=0) / 4, (frequency * np.cos(angle)).sum(axis=0) / 4
-        errors = wanted - data.qpos, rate - data.qvel
-        data.qfrc_applied = stiffness * errors[0] + damping * errors[1]
-        row[:] = data.qpos, data.qfrc_applied
-        mujoco.mj_step(model, data)
-    position, effort = rows.transpose(1, 0, 2)
-    effort += 2e-3 * np.sqrt(np.mean(effort**2, axis=0)) * rng.normal(size=effort.shape)
-    time = STEP * np.arange(len(rows))
-    return sy.Log.from_arrays(robot, time=time, position=position, effort=effort, start=1.0)
 
 
 def with_drives(robot, friction, armature):
@@ -45,7 +23,7 @@ def with_drives(robot, friction, armature):
 
 def test_friction_that_leads_is_found_beside_the_right_friction_and_armature():
     friction, armature = 1.5, 0.2
-    log = simulated(with_drives(arm(), friction, armature), 15.0, 100.0, 20.0)
+    log = driven_joints(with_drives(arm(), friction, armature), 15.0, 100.0, 20.0, seed=1)[0]
     result = sy.identify(arm(), log, unchecked=True)
     for joint in result.robot.joint_names:
         lead, coulomb, identified = (
@@ -60,7 +38,7 @@ def test_friction_that_leads_is_found_beside_the_right_friction_and_armature():
 def test_soft_friction_of_light_joints_is_not_taken_for_another_friction():
     friction, armature = 0.5, 0.02
     light = arm().with_phi(0.1 * arm().phi)
-    log = simulated(with_drives(light, friction, armature), 40.0, 20.0, 2.0)
+    log = driven_joints(with_drives(light, friction, armature), 40.0, 20.0, 2.0, seed=1)[0]
     result = sy.identify(light, log, unchecked=True)
     for joint in result.robot.joint_names:
         coulomb, creep = (result.parameters[f"{joint}/{term}"] for term in ("coulomb", "creep"))

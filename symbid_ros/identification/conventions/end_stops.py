@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 
 # The efforts have to be likelier with a stop by this many nats.
 EVIDENCE = 50.0
-# Share of a log above which an end is no stop: the limits of the file are not those of the robot.
+# A joint that is at an end for a larger share of the log has other limits than the file states.
 MOST = 0.5
 ENDS = 8  # at which joints are most often, and which are compared
 BLOCKS = 16  # in which joints are at ends, and which are compared beside some others
