@@ -42,6 +42,9 @@ from symbid_ros.signals.streams import WHOLE_LOG, Slice, TimeRange
 
 # Bytes to buffer for a topic that lags, because it is silent or recorded with a delay.
 MAX_BUFFERED = 256 << 20
+# Longest slice, ns, of logs with a higher rate of joint states, Hz: it takes less memory. At lower
+# rates it would cut the blocks that give rows.
+SHORT_SPAN, HIGH_RATE = 12_000_000_000, 200.0
 
 DEFAULT_SELECTION = TopicSelection()
 
@@ -68,8 +71,8 @@ def iterate_slices(
     topics : TopicSelection
         Topics to read.
     span : int, optional
-        Length of the slices, ns; they end at its multiples. Default: a single slice of bags that
-        continue one another.
+        Length of the slices, ns; they end at its multiples, or at those of ``SHORT_SPAN`` if the
+        rate is high. Default: a single slice of bags that continue one another.
     part : TimeRange
         Part of the recording.
     warn : bool
@@ -266,7 +269,11 @@ class _Slicer:
             return None
         if self._span is None:
             return self._end
-        return min((first // self._span + 1) * self._span, self._end)
+        short = min(self._span, SHORT_SPAN)
+        stop = (first // short + 1) * short
+        if self._joints.count_between(first, stop) * 1e9 < HIGH_RATE * (stop - first):
+            stop = (first // self._span + 1) * self._span
+        return min(stop, self._end)
 
     def _slice(self, stop: int) -> Slice:
         start, self._processed_until = self._processed_until, stop
@@ -406,6 +413,10 @@ class ReorderBuffer:
         """Return the smallest buffered stamp from ``start`` on, ns."""
         waiting = (part.between(start, ALWAYS[1]) for part in self._parts)
         return min((part.oldest for part in waiting if part), default=None)
+
+    def count_between(self, start: int, stop: int) -> int:
+        """Return the number of buffered messages with stamps from ``start`` up to ``stop``, ns."""
+        return int(np.count_nonzero((self.stamps >= start) & (self.stamps < stop)))
 
     def drop_before(self, stamp: int) -> None:
         """Drop messages older than ``stamp``, ns."""

@@ -92,7 +92,8 @@ class Log:
         Parameters
         ----------
         span : int, optional
-            Length of a slice, ns; by default one slice holds everything.
+            Length of a slice, ns; slices of logs with high rates may be shorter. By default one
+            slice holds everything.
         warn : bool
             Whether to log a warning about repaired messages at the end.
 

@@ -45,6 +45,18 @@ def test_every_message_is_in_one_slice_and_margins_overlap(tmp_path: Path) -> No
     assert stamps[1][-1] == round(8.95 * SECOND)
 
 
+@pytest.mark.parametrize(("rate", "ends"), [(250, [12, 24, 60]), (20, [60])])
+def test_slices_of_logs_with_a_high_rate_are_short(
+    rate: float, ends: list[int], tmp_path: Path
+) -> None:
+    ticks = np.arange(0.0, 25.0, 1 / rate)
+    bag = write_rosbags(tmp_path / "log", joints(*ticks))
+    found = list(iterate_slices([bag], span=60 * SECOND))
+    assert [one.stop // SECOND for one in found] == ends
+    cores = [one.stamps["/joint_states"] for one in found]
+    np.testing.assert_array_equal(np.concatenate(cores), np.rint(ticks * SECOND).astype(int))
+
+
 def test_repaired_defects_are_counted_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -15,6 +15,7 @@ from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
+from symbid_ros.signals.alignment import align
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.streams import TimeRange
 from symbid_ros.signals.weak_form import BLOCK
@@ -48,7 +49,7 @@ def assert_equal(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) 
 
 
 def test_joined_slices_equal_the_log_read_at_once(model, bag: Path) -> None:
-    (whole,) = AlignedLog(bag_log([bag], model), model)
+    (whole,) = align(bag_log([bag], model).streams(), model)
     sliced = AlignedLog(bag_log([bag], model), model, span=BLOCK)
     parts = list(sliced)
     assert len(parts) == whole.stamp[-1] // BLOCK - whole.stamp[0] // BLOCK + 1
@@ -62,7 +63,7 @@ def test_a_log_is_read_once_and_kept_in_memory_or_in_a_file(model, bag: Path, tm
     link = tmp_path / "bag"
     link.symlink_to(bag)
     logs = [AlignedLog(bag_log([link], model), model, span=BLOCK, most_kept=most) for most in KEPT]
-    (whole,) = AlignedLog(bag_log([bag], model), model)
+    (whole,) = align(bag_log([bag], model).streams(), model)
     for log in logs:
         assert_equal(joined(log), joined([whole]))
     link.unlink()
@@ -91,7 +92,7 @@ def test_without_room_for_a_file_a_log_is_read_again(
 
 
 def test_start_and_stop_select_a_part(model, bag: Path) -> None:
-    (whole,) = AlignedLog(bag_log([bag], model), model)
+    (whole,) = align(bag_log([bag], model).streams(), model)
     begin = int(whole.stamp[0])
     parts = AlignedLog(bag_log([bag], model, ALL, TimeRange(1.5, 6.25)), model, span=BLOCK)
     inside = (whole.stamp >= begin + 1_500_000_000) & (whole.stamp < begin + 6_250_000_000)
@@ -108,7 +109,7 @@ def test_instants_in_a_gap_are_counted_once(model, bag: Path, tmp_path: Path, ca
         messages.order, messages.log_time = messages.order[heard], messages.log_time[heard]
 
     gappy = edit_bag(bag, tmp_path / "gappy", {"/imu/data": silenced})
-    (whole,) = AlignedLog(bag_log([bag], model), model)
+    (whole,) = align(bag_log([bag], model).streams(), model)
     log = AlignedLog(bag_log([gappy], model), model, span=BLOCK, most_kept=0)
     left = joined(log)["stamp"]
     after = (whole.stamp - whole.stamp[0]) * 1e-9

@@ -5,8 +5,9 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import suppress
 from contextvars import copy_context
-from functools import cache, partial
+from functools import partial
 from itertools import islice
 from types import TracebackType
 from typing import ParamSpec, Self, TypeVar
@@ -22,6 +23,7 @@ Rows = tuple[WindowedRows, ...]
 # longer per row. Many would take memory.
 BATCH = 256
 RELEASE_PERIOD = 16  # blocks after which freed memory is released
+M_ARENA_MAX = -8  # glibc's malloc.h
 
 
 def available_cores() -> int:
@@ -64,7 +66,10 @@ class FoldingPool:
     def __init__(self, observations: Mapping[float, Observations], jobs: int) -> None:
         self._observations = dict(observations)
         self._jobs = jobs
-        self._pool: Executor | None = ThreadPoolExecutor(jobs, "rows") if jobs > 1 else None
+        self._pool: Executor | None = None
+        if jobs > 1:
+            _share_memory_pools()
+            self._pool = ThreadPoolExecutor(jobs, "rows")
         self._waiting: deque[tuple[Sequence[float], Future[Rows]]] = deque()
         self._batch: dict[float, list[WindowedRows]] = {window: [] for window in observations}
         self._folding: dict[float, Future[Observations]] = {}
@@ -97,7 +102,7 @@ class FoldingPool:
             self._add(windows, build(*args, **kwargs))
             return
         self._waiting.append((windows, self._pool.submit(partial(build, *args, **kwargs))))
-        while len(self._waiting) > self._jobs + 1 or (self._waiting and self._waiting[0][1].done()):
+        while len(self._waiting) > self._jobs or (self._waiting and self._waiting[0][1].done()):
             self._take_oldest()
 
     def cover(self, windows: Sequence[float], seconds: frozenset[int]) -> None:
@@ -147,21 +152,20 @@ class FoldingPool:
         return self._observations[window]
 
 
-def _release_free_memory() -> None:
-    """Return freed memory to the operating system, where the C library can.
+def _share_memory_pools() -> None:
+    """Let all threads allocate from one pool of memory, where the C library can.
 
-    glibc keeps what each thread has freed, so that threads that use large arrays in turn occupy
-    several times what they need.
+    By default glibc gives each thread a pool of its own, which keeps what the thread has freed.
     """
-    trim = _malloc_trim()
-    if trim is not None:
-        trim(0)
+    _c_library_call("mallopt", M_ARENA_MAX, 1)
 
 
-@cache
-def _malloc_trim() -> Callable[[int], int] | None:
-    try:
-        trim: Callable[[int], int] = ctypes.CDLL(None).malloc_trim
-    except (AttributeError, OSError, TypeError):  # musl, macOS and Windows lack it
-        return None
-    return trim
+def _release_free_memory() -> None:
+    """Return freed memory to the operating system, where the C library can."""
+    _c_library_call("malloc_trim", 0)
+
+
+def _c_library_call(name: str, *arguments: int) -> None:
+    """Call a function of glibc; musl, macOS and Windows lack those used here."""
+    with suppress(AttributeError, OSError, TypeError):
+        getattr(ctypes.CDLL(None), name)(*arguments)
