@@ -79,6 +79,9 @@ LARGEST = 5.0  # times the RMS effort; files state limits of 1000 Nm for small d
 SLIPS = 0.05  # rad/s; Coulomb friction of slower joints is undefined
 LEVER = 0.1  # m; noise of a foot's moments over that of its forces
 TILT, SHIFT = 0.12, 0.025  # of a standing base: rad and m
+# Heights, m, by which a standing base is lowered until legs, straight in some files, bend so far that
+# no joint is faster, rad/s.
+LOWERED, LARGEST_STANDING = (0.0, 0.05, 0.1), 5.0
 SWING = 0.5  # rad or m; of joints that are not in legs
 WARM_UP = 120.0  # s; time constant
 
@@ -304,13 +307,19 @@ def move(
         position = robot.apply_mimics(waves(rng, time, len(robot.joints), LARGEST_SPEED / 2))
         rest = np.zeros((len(time), 3))
         return samples(time, position, rest, rest, rest - robot.gravity)
-    rotation = Rotation.from_euler("xyz", waves(rng, time, 3, 1.0, TILT))
-    place = waves(rng, time, 3, 1.0, SHIFT)
+    tilted = Rotation.from_euler("xyz", waves(rng, time, 3, 1.0, TILT))
+    shifted = waves(rng, time, 3, 1.0, SHIFT)
     position = np.tile(posture(robot), (len(time), 1))
     others = np.flatnonzero(~legs(robot, feet))
     position[:, others] += waves(rng, time, len(others), LARGEST_SPEED / 2, SWING)
     wanted = robot.apply_mimics(position)
-    rotation, place, position = standing(robot, feet, rotation, place, wanted)
+    for lower in LOWERED:
+        down = lower * np.array([0.0, 0.0, 1.0])
+        rotation, place, position = standing(robot, feet, tilted, shifted - down, wanted)
+        if np.abs(np.diff(position, axis=0)).max() * rate < LARGEST_STANDING:
+            break
+    else:
+        raise SystemExit(f"{robot.source}: its legs are too straight to move the base")
     turn = make_interp_spline(time, rotation.as_quat(canonical=True), k=5).derivative()(time)
     # ω in base axes is twice the vector part of q⁻¹ q̇.
     omega = 2 * products(rotation.inv().as_quat(canonical=True), turn)[:, :3]

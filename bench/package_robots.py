@@ -20,7 +20,8 @@ from symbid_ros.dynamics.kinematics import link_poses
 
 FloatArray = NDArray[np.float64]
 
-STANDING = "standing", "half_sitting"  # Postures of SRDF files, the best first.
+# Postures of SRDF files, the best first: legs bend in the first, so that feet can stay in place.
+STANDING = "half_sitting", "standing"
 REACH = 0.7  # Of the lowest foot below the base; the others reach as far.
 # A leg of fewer joints stands on a point, as its foot cannot stay level.
 LEVEL_JOINTS = 6
