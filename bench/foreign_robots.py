@@ -79,8 +79,8 @@ LARGEST = 5.0  # times the RMS effort; files state limits of 1000 Nm for small d
 SLIPS = 0.05  # rad/s; Coulomb friction of slower joints is undefined
 LEVER = 0.1  # m; noise of a foot's moments over that of its forces
 TILT, SHIFT = 0.12, 0.025  # of a standing base: rad and m
-# Heights, m, by which a standing base is lowered until legs, straight in some files, bend so far that
-# no joint is faster, rad/s.
+# Heights, m, by which a standing base is lowered until legs, which are straight in some files, bend
+# so far that no joint is faster, rad/s.
 LOWERED, LARGEST_STANDING = (0.0, 0.05, 0.1), 5.0
 SWING = 0.5  # rad or m; of joints that are not in legs
 WARM_UP = 120.0  # s; time constant
