@@ -3,7 +3,7 @@
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import reduce
+from functools import cached_property, reduce
 
 import numpy as np
 
@@ -73,21 +73,32 @@ class ChannelChanges:
         """
         if self.position is None:
             return False
-        steps = np.abs(np.diff(self.position))
-        known = steps[np.isfinite(steps)]
-        typical = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        steps, typical, flicker = self._steps
         if not self.is_position:
             moved = float(np.ptp(self.position[first:stop]))
             return moved <= RESTING * typical * (stop - first)
-        flicker = FLICKER * float(np.min(known[known > 0], initial=np.inf))
         begin = max(first - ONSET - 1, 0)
         before = steps[begin : max(first - 1, 0)]
         before = before[np.isfinite(before)]
         onset = float(np.mean(before)) if len(before) else 0.0
         moved = float(np.ptp(self.position[begin:first])) if first > begin else 0.0
-        jump = float(steps[stop - 1]) if stop <= len(steps) else 0.0
         slows_down = onset <= SLOW * typical or moved <= flicker
-        return slows_down and jump <= max(JUMP * typical, flicker)
+        return slows_down and not self.jumps_after(stop)
+
+    def jumps_after(self, stop: int) -> bool:
+        """Return whether a position jumps at a message."""
+        steps, typical, flicker = self._steps
+        jump = float(steps[stop - 1]) if stop <= len(steps) else 0.0
+        return jump > max(JUMP * typical, flicker)
+
+    @cached_property
+    def _steps(self) -> tuple[FloatArray, float, float]:
+        """Sizes of the position's steps (N - 1,), a typical one, and the largest of a flicker."""
+        position = np.empty(0) if self.position is None else self.position
+        steps = np.abs(np.diff(position))
+        known = steps[np.isfinite(steps)]
+        typical = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        return steps, typical, FLICKER * float(np.min(known[known > 0], initial=np.inf))
 
     def stops(self, *, continues: bool) -> bool:
         """Return whether a position that is constant up to the last message stopped abruptly.
@@ -112,6 +123,8 @@ class ChangeCounts:
         Messages in the runs.
     runs : list of (int, int)
         First and last stamp, ns, of every run without a change.
+    jumps, resumptions : int
+        Runs after which a position jumped, and after which it went on from where it was.
     continues : bool
         Whether the position stopped abruptly, up to the end of the last slice.
     """
@@ -120,13 +133,20 @@ class ChangeCounts:
     changes: int = 0
     frozen_messages: int = 0
     runs: list[tuple[int, int]] = field(default_factory=list)
+    jumps: int = 0
+    resumptions: int = 0
     continues: bool = False
 
     @property
     def is_frozen(self) -> bool:
-        """Whether the reading changes often enough outside the runs to call them frozen."""
+        """Whether the reading changes often enough outside the runs to call them frozen.
+
+        A joint that sticks stops abruptly too. Afterwards it goes on from where it was, whereas the
+        reading of an encoder that was frozen jumps, unless the joint happens to be back.
+        """
         others = self.messages - self.frozen_messages
-        return bool(self.runs) and self.changes >= max(LEAST_CHANGES * others, FEWEST_REPEATS)
+        changes_often = self.changes >= max(LEAST_CHANGES * others, FEWEST_REPEATS)
+        return bool(self.runs) and changes_often and self.jumps >= self.resumptions
 
 
 @dataclass
@@ -154,6 +174,10 @@ class FreezeDetector:
                 if reading.is_position or _others_move(readings, reading, start, end):
                     counts.frozen_messages += stop - first
                     counts.runs.append((start, end))
+                    if reading.is_position and stop < len(reading.stamp):
+                        jumps = reading.jumps_after(stop)
+                        counts.jumps += jumps
+                        counts.resumptions += not jumps
 
     def findings(self, limited: Container[tuple[str, str]]) -> list[Finding]:
         """Return the frozen readings, except channels (topic, name) that are at a limit."""

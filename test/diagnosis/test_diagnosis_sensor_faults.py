@@ -74,6 +74,24 @@ def test_an_encoder_that_counts_slow_steps_is_not_frozen(streams) -> None:
     assert mask_faulty_messages(streams)[1] == ()
 
 
+HOLDS = (np.arange(COUNT) + 200) % 400 < 120  # 0.12 s each
+
+
+def test_a_joint_that_sticks_is_not_frozen(streams) -> None:
+    """It stops within a message, as a servo does at slow speed, and goes on from there."""
+    streams.joints.position[:, 0] = 0.01 * np.cumsum(~HOLDS * np.sin(np.arange(COUNT) * 2e-2))
+    assert mask_faulty_messages(streams)[1] == ()
+
+
+def test_an_encoder_that_freezes_as_often_jumps_and_is_left_out(streams) -> None:
+    last = np.maximum.accumulate(np.where(HOLDS, 0, np.arange(COUNT)))
+    streams.joints.position[:, 0] = 1e-3 * last
+    left, (finding,) = mask_faulty_messages(streams)
+    assert finding.kind is Kind.FROZEN
+    assert "position of a is frozen" in finding.message
+    assert np.isin(left.joints.stamp, streams.joints.stamp[~HOLDS]).mean() > 0.99
+
+
 def test_an_unloaded_sensor_without_noise_is_not_frozen(streams) -> None:
     (wrench,) = streams.wrenches
     wrench.force[400:600] = wrench.torque[400:600] = 0.0

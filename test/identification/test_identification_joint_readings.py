@@ -144,3 +144,20 @@ def test_positions_or_efforts_alone_may_be_exchanged(seed, what) -> None:
     assert readings.alarm.endswith(
         "; publish each position and effort under the name of its own joint"
     )
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_efforts_of_joints_at_rest_are_not_exchanged_with_those_of_others(seed) -> None:
+    """Small efforts at rest leave small residuals, but explain nothing that moves."""
+    robot, log = arm_and_log(seed)
+    joints = log.streams().joints
+    position, effort = joints.position.copy(), joints.effort.copy()
+    rng = np.random.default_rng(seed)
+    scale = np.sqrt(np.mean(effort**2, axis=0))
+    position[:, 2:] = position[0, 2:]
+    effort[:, 2:] = 1e-2 * scale[2:]
+    effort += 1e-2 * scale * rng.normal(size=effort.shape)
+    effort[:, :2] += scale[:2] * np.sin(5e-9 * joints.stamp)[:, None]  # of a load on the arm
+    time = 1e-9 * joints.stamp
+    found = found_in(robot, sy.Log.from_arrays(robot, time=time, position=position, effort=effort))
+    assert found is None or not found.exchanged_efforts

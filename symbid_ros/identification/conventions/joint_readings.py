@@ -22,9 +22,10 @@ from symbid_ros.signals.segments import Segment
 
 # Logs are right in which less than this share of each joint's efforts is left (RMS).
 EXPLAINED = 0.01
-# Each change has to be likelier by this many nats, and by this many for each row. Reversed joints
-# of real logs that are right bring 12 nats at most. A reversed position also has to be likelier by
-# this many nats than a reversed effort of the joint, and than both together.
+# Each change has to be likelier by this many nats, and by this many for each row. What counts is
+# the share that is left of an effort's variation, since exchanged efforts have other sizes.
+# Reversed joints of real logs that are right bring 12 nats at most. A reversed position also has to
+# be likelier by this many nats than a reversed effort of the joint, and than both together.
 EVIDENCE, LEAST_GAIN = 50.0, 0.1
 # All changes together have to halve the residuals (geometric mean) of as many joints as they
 # change, and to leave no more than this share of the efforts unexplained (RMS).
@@ -238,13 +239,18 @@ def find_readings(segments: Iterable[Segment], robot: RobotModel) -> JointReadin
     log = _LogPart.of(segments, robot)
     if not 0 < len(log.moving) <= MOST_JOINTS:
         return None
-    moving, readings = log.moving, log.readings
+    readings = log.readings
     rows = log.rows(readings)
     if rows is None:
         return None
     first = rows.fit()
     if (together := _reversed_together(log, first)) is not None:
         return together
+    # No row would have to explain an effort that is exchanged with that of a joint at rest.
+    moving = tuple(index for index in log.moving if rows.has_rows[index])
+    if not moving:
+        return None
+    log = replace(log, moving=moving)
     has_wrenches = log.has_wrenches
     explained = first.shares[[*moving]].max() < EXPLAINED
     reversals = REVERSALS_BESIDE_WRENCHES if has_wrenches else REVERSALS
@@ -350,23 +356,27 @@ def _likelier(
     """
     readings = log.readings
     count = int(rows.valid.sum())
-    best = first = rows.fit()
+    best = rows.fit()
+    first_cost = best_cost = best.cost - rows.variation_cost
     while True:
         changes = list(_changes(readings, log.moving, reversals))
         tried = []
         for number, (changed, joint) in enumerate(changes):
             report("looking for exchanged and reversed joints", number / len(changes))
             if (found := log.rows(changed)) is not None:
-                tried.append((found.fit(), changed, joint))
-        fit, changed, joint = min(tried, key=lambda one: one[0].cost, default=(best, readings, -1))
-        if fit.cost > best.cost - max(EVIDENCE, LEAST_GAIN * count):
+                fit = found.fit()
+                tried.append((fit.cost - found.variation_cost, fit, changed, joint))
+        if not tried:
             break
-        rivals = [one.cost for one, _, other in tried if other == joint and one is not fit]
-        if joint is not None and min(rivals) < fit.cost + EVIDENCE:
+        cost, fit, changed, joint = min(tried, key=lambda one: one[0])
+        if cost > best_cost - max(EVIDENCE, LEAST_GAIN * count):
             break
-        best, readings = fit, changed
+        rivals = [one for one, other, _, of in tried if of == joint and other is not fit]
+        if joint is not None and min(rivals) < cost + EVIDENCE:
+            break
+        best, best_cost, readings = fit, cost, changed
     least = HALVED * count * readings.changed / len(log.moving)
-    if first.cost - best.cost <= least or best.unexplained >= MOST_LEFT:
+    if first_cost - best_cost <= least or best.unexplained >= MOST_LEFT:
         return None
     return readings, best
 

@@ -130,6 +130,23 @@ class LooseRows:
         read = np.sqrt(np.sum(np.where(self.valid, self.y, 0.0) ** 2, axis=0) / count)
         return np.asarray(np.maximum(read, max(LEAST_READ * float(read.max()), 1e-9)))
 
+    @property
+    def has_rows(self) -> BoolArray:
+        """(J,) whether any row of a joint is valid."""
+        return np.asarray(self.valid.any(axis=0)[self._coordinates])
+
+    @cached_property
+    def variation_cost(self) -> float:
+        """Cost of the constants that fit the efforts best.
+
+        Without it, rows with other efforts compare like the shares that they leave unexplained.
+        """
+        count = np.maximum(self.valid.sum(axis=0), 1)
+        y = np.where(self.valid, self.y, 0.0)
+        variance = np.where(self.valid, y - y.sum(axis=0) / count, 0.0) ** 2
+        std = np.sqrt(variance.sum(axis=0) / count)
+        return float(count @ np.log(np.maximum(std, LEAST_RESIDUAL * self.read)))
+
     @cached_property
     def std(self) -> FloatArray:
         """(p,) of the prior; what drives do is hardly limited."""
