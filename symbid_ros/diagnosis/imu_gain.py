@@ -24,6 +24,8 @@ ACCELEROMETER_ERROR = 0.006
 # Calibrated gyroscopes differ by less than 1 %. Soft soles and rolling feet explain 5 %.
 GYROSCOPE_ERROR = 0.05
 DEVIATIONS = 5.0
+# Share of gravity that no gain of an accelerometer with a plausible mean reading leaves.
+LEAST_OF_GRAVITY = 0.5
 # Half-overlapped windows: each mean counts for this share.
 INDEPENDENT = 0.75
 # Usual bias of a gyroscope, rad/s.
@@ -147,6 +149,17 @@ def accelerometer_findings(topic: str, moments: GravityMoments) -> list[Finding]
         return []
     mean, std = moments.length
     error = mean / GRAVITY - 1
+    if mean + DEVIATIONS * std < LEAST_OF_GRAVITY * GRAVITY:
+        return [
+            Finding.of(
+                topic,
+                Kind.GRAVITY,
+                f"linear_acceleration averages {mean:.3g} m/s² over windows of {WINDOW:g} s, it "
+                "lacks gravity, or the gyroscope is wrong; give the raw specific force, +9.81 "
+                "upwards at rest (REP-145)",
+                {"mean_m_s2": mean},
+            )
+        ]
     if abs(error) <= max(ACCELEROMETER_ERROR, DEVIATIONS * std / GRAVITY):
         return []
     return [

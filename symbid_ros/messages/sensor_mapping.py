@@ -76,7 +76,7 @@ class SensorMapping:
         """
         return cls(
             options.frame_prefix,
-            _pairs("rename_frame", options.rename_frame, str),
+            _pairs("rename_frame", options.rename_frame, str, may_be_empty=True),
             _pairs("rename_joint", options.rename_joint, str),
             frozenset(options.flip_joint),
             frozenset(options.flip_wrench),
@@ -233,12 +233,18 @@ class HeldJoints:
             logger.warning("%s", message)
 
 
-def _pairs(option: str, entries: tuple[str, ...], read: Callable[[str], T | None]) -> dict[str, T]:
-    """Return entries ``name:=value`` as a dictionary."""
+def _pairs(
+    option: str,
+    entries: tuple[str, ...],
+    read: Callable[[str], T | None],
+    *,
+    may_be_empty: bool = False,
+) -> dict[str, T]:
+    """Return entries ``name:=value`` as a dictionary; frames of messages may have no name."""
     found: dict[str, T] = {}
     for entry in entries:
         name, _, text = entry.partition(ASSIGN)
-        value = read(text) if name and text else None
+        value = read(text) if (name or may_be_empty) and text else None
         if value is None or name in found:
             reason = "repeats a name" if name in found else "is not valid"
             raise OptionError(f"`{option}`: {entry!r} {reason}; give {EXAMPLES[option]}", "E501")

@@ -101,9 +101,12 @@ def _check_frame(
     except ModelError as error:
         prefix = suggested_prefix(frame, model)
         if not prefix:
+            likely = _likely_imu_frame(model) if isinstance(sensor, ImuStream) else ""
+            pair = f"{frame}:={likely or 'NAME'}"
+            if_so = f" if it is mounted as {likely} is" if likely else ""
             raise ModelError(
-                f"{source}: {sensor.topic}: {error}, or give `rename_frame` {frame}:=NAME, or "
-                f"write {robot_file_line('rename_frame', f'{frame}:=NAME')}",
+                f"{source}: {sensor.topic}: {error}, or give `rename_frame` {pair}{if_so}, or "
+                f"write {robot_file_line('rename_frame', pair)}",
                 "E308",
             ) from error
         raise ModelError(
@@ -112,6 +115,13 @@ def _check_frame(
             f"frame_prefix: {prefix} in robot.yaml",
             "E308",
         ) from error
+
+
+def _likely_imu_frame(model: RobotModel) -> str:
+    """Return the only frame or link that is named after an IMU; empty if there is none."""
+    known = {*(one.name for one in model.frames), *model.link_names}
+    named = [name for name in known if "imu" in name.lower()]
+    return named[0] if len(named) == 1 else ""
 
 
 def suggested_prefix(frame: str, model: RobotModel) -> str:

@@ -83,6 +83,17 @@ def test_the_mean_specific_force_is_near_gravity(size, kind, says):
     assert findings(imu) == []
 
 
+@pytest.mark.parametrize(("gravity", "kind"), [(9.81, None), (0.0, Kind.GRAVITY)])
+def test_fast_motion_does_not_hide_that_gravity_was_removed(gravity, kind):
+    """The readings of a jumping robot are as large as gravity, but their mean is not."""
+    rotation, rate = turning()
+    shakes = 15.0 * np.sin(2 * np.pi * np.outer(TIME, [2.0, 3.0, 2.5]))
+    imu = stream(rotation, rate, rotation.inv().apply(shakes + np.array([0.0, 0.0, gravity])))
+    found = findings(imu, 700)
+    assert [one.kind for one in found] == [kind] * (kind is not None)
+    assert all("lacks gravity" in one.message for one in found)
+
+
 @pytest.mark.parametrize(
     ("scale", "kind"),
     [

@@ -210,6 +210,11 @@ def test_an_invalid_entry_is_named_with_an_example(option: str, entry: str) -> N
         TopicSelection.of(LogOptions(**{option: (entry,)}))
 
 
+def test_messages_without_a_frame_may_be_given_one() -> None:
+    mapping = SensorMapping.of(LogOptions(rename_frame=(":=imu_link",)))
+    assert [mapping.frame(name) for name in ("", "tool")] == ["imu_link", "tool"]
+
+
 def test_a_repeated_name_is_refused() -> None:
     with pytest.raises(OptionError, match="repeats"):
         TopicSelection.of(LogOptions(hold_joint=("a:=1", "a:=2")))

@@ -187,7 +187,8 @@ class TestAlignment:
         with raises_code("E307", "sensor_msgs/msg/Imu"):
             samples_of(replace(streams, imus=()), model, UNFILTERED)
         lost = replace(streams.imus[0], frame_id="head")
-        with raises_code("E308", "head"):
+        (imu,) = {one.name for one in model.frames if "imu" in one.name}
+        with raises_code("E308", f"rename_frame` head:={imu} if it is mounted as {imu} is"):
             samples_of(replace(streams, imus=(lost,)), model, UNFILTERED)
         with raises_code("E317", "600"):
             samples_of(streams, model, LowPass(600))
