@@ -133,7 +133,7 @@ class LooseRows:
     @property
     def has_rows(self) -> BoolArray:
         """(J,) whether any row of a joint is valid."""
-        return np.asarray(self.valid.any(axis=0)[self._coordinates])
+        return np.asarray(np.any(self.valid[:, self._coordinates], axis=0))
 
     @cached_property
     def variation_cost(self) -> float:
