@@ -39,7 +39,7 @@ def reversed_sensors(rows: Information, parameters: ParameterSet) -> tuple[str, 
         forces = 6 * model.floating + np.arange(place.start + 3, place.stop)
         blocks = []
         for coordinate in forces.tolist():
-            factor = rows.coordinate_factor(coordinate)
+            factor = rows.coordinate_factors[coordinate]
             block = np.zeros((len(factor), len(parameters) + 1))
             block[:, [*rows.layout.columns[coordinate], -1]] = factor
             blocks.append(block)

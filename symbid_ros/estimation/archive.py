@@ -22,7 +22,7 @@ from symbid_ros.estimation.group_moments import (
     GroupMoments,
 )
 from symbid_ros.estimation.information import Information
-from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.observations import Observations, covered_seconds
 from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.user_files import open_regular
 
@@ -97,9 +97,7 @@ def pack_observations(observations: Sequence[Observations]) -> dict[str, Any]:
         "window": np.array([one.window for one in observations]),
         "inflation": np.array([one.inflation for one in observations]),
         "kept": np.array([one.kept for one in observations]),
-        "seconds": np.array(
-            sorted(frozenset[int]().union(*(one.seconds for one in observations))), dtype=np.int64
-        ),
+        "seconds": np.array(sorted(covered_seconds(observations)), dtype=np.int64),
     }
     shared: list[str] = []
     for index, one in enumerate(observations):
@@ -153,7 +151,7 @@ def _stored_moments(part: CoordinateMoments | CoordinateRows, layout: RowLayout)
 
 
 def _without_zeros(name: str, values: FloatArray) -> dict[str, NDArray[Any]]:
-    """Return an array (N,) without its zeros, and bits that tell where the other numbers are.
+    """Return an array (N,) without its zeros, and a bit mask of the other numbers.
 
     A short log fills few rows of a factor, and some candidate terms never act.
     """
@@ -229,7 +227,7 @@ def unpack_observations(content: dict[str, np.ndarray]) -> tuple[Observations, .
     )
     _require(np.all(inflations >= 1), "inflation must be at least 1")
     _require(np.all(kept <= 1), "kept must be at most 1")
-    seconds = frozenset(_seconds(content))
+    seconds = _seconds(content)
     return tuple(
         _observations(
             layout,
@@ -253,9 +251,7 @@ def load_deviation_factor(path: Path) -> FloatArray | None:
         When the file is missing, damaged or not an information.npz.
     """
     factor = read_arrays(path, ARCHIVE).get("deviation_factor")
-    if factor is None:
-        return None
-    if factor.ndim != 2 or factor.dtype != np.float64 or not np.all(np.isfinite(factor)):
+    if factor is not None and not (factor.ndim == 2 and _is_finite(factor)):
         raise EstimateError(
             f"{path}: its deviation_factor is not a finite matrix; identify the log again", "E410"
         )
@@ -271,15 +267,15 @@ def load_correlation(path: Path) -> FloatArray | None:
         When the file is missing, damaged or not an information.npz.
     """
     content = read_arrays(path, ARCHIVE)
-    found = content.get("row_correlation")
-    if found is None:
+    correlation = content.get("row_correlation")
+    if correlation is None:
         return None
     n = len(content["coordinates"])
-    if found.shape != (n, n) or found.dtype != np.float64 or not np.all(np.isfinite(found)):
+    if correlation.shape != (n, n) or not _is_finite(correlation):
         raise EstimateError(
             f"{path}: its row_correlation is not a finite matrix; identify the log again", "E410"
         )
-    return found
+    return correlation
 
 
 def load_calibration(path: Path) -> SensorCalibration | None:
@@ -291,20 +287,21 @@ def load_calibration(path: Path) -> SensorCalibration | None:
         When the file is missing, damaged or not an information.npz.
     """
     content = read_arrays(path, ARCHIVE)
-    names = "sensor_factor", "linearization"
-    if not all(name in content for name in names):
+    factor, linearization = (content.get(name) for name in ("sensor_factor", "linearization"))
+    if factor is None or linearization is None:
         return None
-    factor, linearization = (content[name] for name in names)
-    fits = factor.ndim == 2 and linearization.ndim == 1
-    if not fits or not all(
-        one.dtype == np.float64 and np.all(np.isfinite(one)) for one in (factor, linearization)
-    ):
+    has_dimensions = factor.ndim == 2 and linearization.ndim == 1
+    if not (has_dimensions and _is_finite(factor) and _is_finite(linearization)):
         raise EstimateError(
             f"{path}: its sensor_factor or linearization is not a finite array; identify the log "
             "again",
             "E410",
         )
     return SensorCalibration(factor, linearization)
+
+
+def _is_finite(array: NDArray[Any]) -> bool:
+    return array.dtype == np.float64 and bool(np.all(np.isfinite(array)))
 
 
 def _observations(
@@ -450,12 +447,11 @@ def _counts(content: dict[str, np.ndarray], key: str, layout: RowLayout) -> Floa
     return counts
 
 
-def _seconds(content: dict[str, np.ndarray]) -> list[int]:
+def _seconds(content: dict[str, np.ndarray]) -> frozenset[int]:
     """Return the fingerprints of the seconds covered, which earlier versions did not write."""
-    found = content.get("seconds", np.zeros(0, dtype=np.int64))
-    _require(found.ndim == 1 and found.dtype == np.int64, "seconds must be a list of integers")
-    seconds: list[int] = found.tolist()
-    return seconds
+    seconds = content.get("seconds", np.zeros(0, dtype=np.int64))
+    _require(seconds.ndim == 1 and seconds.dtype == np.int64, "seconds must be a list of integers")
+    return frozenset(seconds.tolist())
 
 
 def read_arrays(path: Path, kind: str, code: str = "E410") -> dict[str, np.ndarray]:

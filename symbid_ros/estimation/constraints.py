@@ -5,7 +5,6 @@ row · φ = target with unit variance. Bounds are hard constraints.
 """
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -147,16 +146,6 @@ def mirror_pairs(parameters: ParameterSet) -> tuple[MirrorPair, ...]:
     Names are paired by a word for the side (``left_foot``, ``hip_l``, ``FL_calf``, ``LThigh``).
     A pair is accepted if its parent and child joints are mirror images about the base's x-z plane
     (REP-103: y points left) with all joints at zero. The orientation of the frames is arbitrary.
-
-    Parameters
-    ----------
-    parameters : ParameterSet
-        The robot's parameters.
-
-    Returns
-    -------
-    tuple of MirrorPair
-        Possibly empty.
     """
     model = parameters.model
     poses = link_poses(model, np.zeros((1, len(model.joints))))
@@ -181,12 +170,9 @@ def mirror_pairs(parameters: ParameterSet) -> tuple[MirrorPair, ...]:
 
 
 def mirror_rows(
-    parameters: ParameterSet,
-    std: FloatArray,
-    ratio: float,
-    pairs: Sequence[MirrorPair] | None = None,
+    parameters: ParameterSet, std: FloatArray, ratio: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rows (10 k, p) and targets (10 k,) that tie k pairs of left and right links.
+    """Return rows (10 k, p) and targets (10 k,) that tie all k :func:`mirror_pairs`.
 
     Parameters
     ----------
@@ -197,8 +183,6 @@ def mirror_rows(
     ratio : float
         Standard deviation of the difference between left and mirrored right link, in units of the
         prior's deviations (root mean square of both sides).
-    pairs : sequence of MirrorPair, optional
-        All of :func:`mirror_pairs` by default.
 
     Raises
     ------
@@ -207,7 +191,7 @@ def mirror_rows(
     """
     if not 0 < ratio < np.inf:
         raise EstimateError(f"`mirror` {ratio:g} is not valid; give a positive number", "E414")
-    pairs = mirror_pairs(parameters) if pairs is None else pairs
+    pairs = mirror_pairs(parameters)
     if not pairs:
         raise EstimateError(
             f"{parameters.model.source}: no two links are named left and right and mirror images "

@@ -9,10 +9,10 @@ from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.errors import EstimateError, PriorError
 from symbid_ros.model.inertia import PARAMETERS
 
-# Condition number above which the prior's covariance is numerically singular.
 # A parameter or direction is determined if the data say more about it than the prior, which halves
 # the variance. This is the largest ratio of standard deviations.
 DETERMINED = 1 / np.sqrt(2)
+# Condition number above which the prior's covariance is numerically singular.
 _CONDITION = 1e12
 # Smallest loading that is printed, relative to the largest one.
 _WORTH_READING = 0.2

@@ -1,11 +1,11 @@
 """estimate.json: the file of an estimate, written and read."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 from symbid_ros.json_documents import VERSIONS, versioned, with_keys
 from symbid_ros.user_files import load_json
+
+Read = TypeVar("Read")
 
 # Fields and their keys in the file, with units; earlier releases wrote the fields' names.
 _ROWS = {"window": "window_s", "cutoff": "cutoff_hz", "rate": "rate_hz"}
@@ -128,14 +130,14 @@ def load_estimate(path: Path) -> Estimate:
             consistent=document["consistent"],
             inputs=tuple(document["inputs"]),
             software=document["software"],
-            verdict=_verdict(document["verdict"]),
+            verdict=_optional(_verdict, document["verdict"]),
             known=_numbers(document, "known"),
-            rows=_rows(document.get("rows")),
+            rows=_optional(_rows, document.get("rows")),
             model_file=_one_of(document.get("model_file", ""), ("", *MODEL_FILES)),
             base=_one_of(document.get("base", ""), ("", "floating", "fixed")),
             row_std=_numbers(document, "row_std"),
-            holdout=_holdout(document.get("holdout")),
-            joint_terms=_joint_terms(document.get("joint_terms")),
+            holdout=_optional(_holdout, document.get("holdout")),
+            joint_terms=_optional(_joint_terms, document.get("joint_terms")),
             remarks=tuple(document.get("remarks", ())),
             wrist_sensors=tuple(map(str, document.get("wrist_sensors", ()))),
             load_reference=_numbers(document, "load_reference"),
@@ -143,9 +145,9 @@ def load_estimate(path: Path) -> Estimate:
             contacts=tuple(map(str, document.get("contacts", ()))),
             force_only=tuple(map(str, document.get("force_only", ()))),
             end_stops=tuple(map(str, document.get("end_stops", ()))),
-            gravity=_vector(document.get("gravity")),
+            gravity=_optional(_vector, document.get("gravity")),
             held_joints=_numbers(document, "held_joints"),
-            provenance=_provenance(document.get("provenance")),
+            provenance=_optional(_provenance, document.get("provenance")),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EstimateError(
@@ -174,9 +176,11 @@ def _require_readable_version(path: Path, document: Any) -> None:
         )
 
 
-def _provenance(document: dict[str, Any] | None) -> Provenance | None:
-    if document is None:
-        return None
+def _optional(read: Callable[[Any], Read], value: Any) -> Read | None:
+    return None if value is None else read(value)
+
+
+def _provenance(document: dict[str, Any]) -> Provenance:
     inputs = tuple(InputFile(**one) for one in document["inputs"])
     return Provenance(**(document | {"inputs": inputs}))
 
@@ -185,9 +189,7 @@ def _with_field_names(document: dict[str, Any], keys: Mapping[str, str]) -> dict
     return with_keys(document, {key: name for name, key in keys.items()})
 
 
-def _rows(document: dict[str, Any] | None) -> RowSettings | None:
-    if document is None:
-        return None
+def _rows(document: dict[str, Any]) -> RowSettings:
     document = _with_field_names(document, _ROWS)
     values = document["window"], document["cutoff"], document.get("rate")
     numbers = [one for one in values if one is not None]
@@ -211,18 +213,14 @@ def _numbers(document: dict[str, Any], name: str) -> dict[str, float]:
     return numbers
 
 
-def _vector(values: Sequence[Any] | None) -> tuple[float, ...] | None:
-    if values is None:
-        return None
+def _vector(values: Sequence[Any]) -> tuple[float, ...]:
     vector = tuple(float(one) for one in values)
     if len(vector) != 3 or not np.all(np.isfinite(vector)):
         raise ValueError("gravity is not a vector of three numbers")
     return vector
 
 
-def _holdout(document: dict[str, Any] | None) -> HoldOut | None:
-    if document is None:
-        return None
+def _holdout(document: dict[str, Any]) -> HoldOut:
     document = _with_field_names(document, _HOLDOUT)
     coordinates = {
         name: (float(before), float(after))
@@ -231,15 +229,11 @@ def _holdout(document: dict[str, Any] | None) -> HoldOut | None:
     return HoldOut(**(document | {"coordinates": coordinates}))
 
 
-def _joint_terms(document: dict[str, Any] | None) -> dict[str, tuple[str, ...]] | None:
-    if document is None:
-        return None
+def _joint_terms(document: dict[str, Any]) -> dict[str, tuple[str, ...]]:
     return {joint: tuple(map(str, terms)) for joint, terms in document.items()}
 
 
-def _verdict(document: dict[str, Any] | None) -> Verdict | None:
-    if document is None:
-        return None
+def _verdict(document: dict[str, Any]) -> Verdict:
     document = _with_field_names(document, _VERDICT)
     lists = {name: tuple(document[name]) for name in ("alarms", "directions")}
     quantities = {

@@ -13,7 +13,7 @@ evidence comes first. Then the spread is estimated again without it, and so on.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
@@ -200,16 +200,22 @@ def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> 
         [_link_change(fit, robot, place, factors, L, tests=tests) for place, factors in links]
         for robot in range(len(members))
     ]
-    deviations = [
-        replace(
-            _deviation(fit, robot, places[index], scaled[index], L, tests=tests),
-            robot=members[robot].name,
-            p_value=p_value,
-            evidence=evidence,
-            alternatives=near,
+    deviations = []
+    for robot, index, evidence, p_value, near in found:
+        place, link = places[index], changes[robot][index] if index < len(links) else None
+        deviations.append(
+            Deviation(
+                members[robot].name,
+                place.name,
+                p_value,
+                evidence,
+                None if link is None else link.relative,
+                None if link is None else link.std,
+                *_size(fit, robot, place, scaled[index][0], L),
+                place.columns,
+                near,
+            )
         )
-        for robot, index, evidence, p_value, near in found
-    ]
     return FleetEstimate(
         parameters,
         common,
@@ -289,10 +295,9 @@ def _link_change(
     *,
     tests: int,
 ) -> LinkChange | None:
-    """Return the relative change of a link; None for a joint, or if a change would not show."""
+    """Return the relative change of a link; None if a change would not show."""
     any_change, denser = factors
-    if denser is None:
-        return None
+    assert denser is not None  # it is of every link
     without = fit.without_deviation(robot, any_change)
     columns = list(place.columns)
     known = (L @ fit.common[1] @ L.T)[np.ix_(columns, columns)]
@@ -300,34 +305,16 @@ def _link_change(
     return link_change(*without.scores[robot], denser, own, tests)
 
 
-def _deviation(
-    fit: FleetFit,
-    robot: int,
-    place: _Place,
-    factors: tuple[FloatArray, FloatArray | None],
-    L: FloatArray,
-    *,
-    tests: int,
-) -> Deviation:
-    """Return the size of a deviation that the fit contains."""
-    any_change, _ = factors
+def _size(
+    fit: FleetFit, robot: int, place: _Place, any_change: FloatArray, L: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the change (k,) of a deviation that the fit contains, and its deviations (k,)."""
     score, information = fit.without_deviation(robot, any_change).scores[robot]
     H = np.eye(any_change.shape[1]) + any_change.T @ information @ any_change
     covariance = np.linalg.inv(H)
     own = (L @ any_change)[list(place.columns)]
-    change = _link_change(fit, robot, place, factors, L, tests=tests)
-    return Deviation(
-        "",
-        place.name,
-        0.0,
-        0.0,
-        None if change is None else change.relative,
-        None if change is None else change.std,
-        own @ covariance @ (any_change.T @ score),
-        np.sqrt(np.einsum("ij,jk,ik->i", own, covariance, own)),
-        place.columns,
-        (),
-    )
+    std = np.sqrt(np.einsum("ij,jk,ik->i", own, covariance, own))
+    return own @ covariance @ (any_change.T @ score), std
 
 
 def _norms(factor: FloatArray) -> FloatArray:

@@ -1,10 +1,10 @@
 """Moments of each coordinate's rows, by groups of seconds.
 
 Residuals of a wrong model are correlated in time, so they carry less information than as many
-independent ones. How much less is told by the scores Σ k e of a coordinate's columns k and
-residuals e: in groups of seconds their variance exceeds that of independent residuals. A joint term
-affects its own joint's rows only, so whether it predicts rows that were not used can be told from
-the same moments. Both need no second pass over the data.
+independent ones. How much less follows from the scores Σ k e of a coordinate's columns k and
+residuals e: over groups of seconds, their variance exceeds that of independent residuals. A joint
+term affects its own joint's rows only, so the same moments show whether it predicts rows that were
+not used. Neither needs a second pass over the data.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,9 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.estimation.row_layout import RowLayout
-from symbid_ros.signals.sampled_rows import SampledRows
 from symbid_ros.signals.weak_form import WindowedRows
 
 # Seconds of a log are dealt to this many groups in turn. Residuals of neighbouring rows are
@@ -246,16 +244,9 @@ class GroupMoments:
 
     def fold(self, blocks: Iterable[WindowedRows]) -> "GroupMoments":
         """Return the moments with more rows averaged over windows."""
-        return self._fold((block.mean, block.valid, block.stamp) for block in blocks)
-
-    def fold_samples(self, blocks: Iterable[SampledRows]) -> "GroupMoments":
-        """Return the moments with more rows at single instants, zero where invalid."""
-        return self._fold((block.rows, block.valid, block.stamp) for block in blocks)
-
-    def _fold(self, blocks: Iterable[tuple[Rows, BoolArray, IntArray]]) -> "GroupMoments":
         found = self
-        for rows, valid, stamp in blocks:
-            found = found.fold_flat(self.layout.flatten([rows]), valid, stamp)
+        for block in blocks:
+            found = found.fold_flat(self.layout.flatten([block.mean]), block.valid, block.stamp)
         return found
 
     def fold_flat(self, flat: FloatArray, valid: BoolArray, stamp: IntArray) -> "GroupMoments":

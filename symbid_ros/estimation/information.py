@@ -118,10 +118,6 @@ class Information:
         start = self.layout.slices[coordinate].start
         return float(np.sum(self.factor[:, start + place] ** 2))
 
-    def coordinate_factor(self, coordinate: int) -> FloatArray:
-        """Return the triangular factor of [K_i y_i] of one coordinate, structural zeros omitted."""
-        return self._coordinate_factors[coordinate]
-
     def whitened(self, whitening: FloatArray) -> FloatArray:
         """Return the triangular factor of the rows weighted across coordinates.
 
@@ -188,7 +184,8 @@ class Information:
         return tuple(np.ascontiguousarray(self._columns(place).T) for place in self.layout.slices)
 
     @cached_property
-    def _coordinate_factors(self) -> tuple[FloatArray, ...]:
+    def coordinate_factors(self) -> tuple[FloatArray, ...]:
+        """Triangular factor of [K_i y_i] of each coordinate, structural zeros omitted."""
         return tuple(_triangle(self._columns(place)) for place in self.layout.slices)
 
     @cached_property

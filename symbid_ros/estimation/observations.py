@@ -86,7 +86,7 @@ class Observations:
         candidates: bool = False,
         grouping: Grouping = BY_SECONDS,
     ) -> "Observations":
-        """Return the observations of no data; ``candidates`` tells whether the terms are such."""
+        """Return the observations of no data; of joint terms to be chosen with ``candidates``."""
         n = len(layout.coordinates)
         nothing = Information.empty(layout)
         groups = GroupMoments.empty(layout, candidates=candidates, grouping=grouping)
@@ -116,7 +116,7 @@ class Observations:
                 valid = block.valid.astype(np.float64)
                 counts = counts + valid.T @ valid
                 rows = Rows(block.rows.K * valid[..., None], block.rows.y * valid)
-                groups = groups.fold_samples([replace(block, rows=rows)])
+                groups = groups.fold_flat(layout.flatten([rows]), block.valid, block.stamp)
                 yield rows
 
         rows = Information.empty(layout).fold(used())
@@ -383,6 +383,11 @@ class Observations:
     def scarce(self) -> BoolArray:
         """(n,) coordinates with too few rows for the parameters that affect no other."""
         return np.asarray(self.counts.diagonal() < self.needed_rows)
+
+
+def covered_seconds(observations: Iterable[Observations]) -> frozenset[int]:
+    """Return the fingerprints of all seconds that the rows cover."""
+    return frozenset[int]().union(*(one.seconds for one in observations))
 
 
 def _slipping_coordinates(blocks: Iterable[WindowedRows]) -> BoolArray:

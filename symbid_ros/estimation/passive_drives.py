@@ -10,6 +10,7 @@ contradict these, armatures are free, and friction as a whole must take power: i
 which viscous, Coulomb and Stribeck friction fit together, is positive at the speeds of the log.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,11 +39,7 @@ LEAST_SHARE, LEAST_EFFORT = 1e-3, 1e-2
 def drive_bounds(parameters: ParameterSet, observations: Observations) -> Bounds | None:
     """Return the bounds on joint terms by which drives take power; None without joint terms.
 
-    Parameters
-    ----------
-    parameters : ParameterSet
-    observations : Observations
-        Their speeds are those at which friction must not be negative.
+    The speeds at which friction must not be negative are those of the observations.
     """
     if not parameters.terms:
         return None
@@ -55,44 +52,43 @@ def drive_bounds(parameters: ParameterSet, observations: Observations) -> Bounds
 
 def breakaway_bounds(parameters: ParameterSet) -> Bounds:
     """Return bounds by which the friction of each joint that begins to slip is not negative."""
-    columns = parameters.term_columns
-    if "stribeck" not in columns:
-        return Bounds((), np.zeros((0, len(parameters))), np.zeros(0), np.zeros(0))
+    if "stribeck" not in parameters.term_columns:
+        return _curve_bounds(parameters, [])
     joints = [parameters.model.joints[joint] for joint in parameters.joints.tolist()]
-    count = len(joints)
     start = stribeck_column(by_kind(COULOMB_SPEED, joints)[None], joints)[0]
-    curve: dict[Term, FloatArray] = {"coulomb": np.ones(count), "stribeck": start}
-    matrix = np.zeros((count, len(parameters)))
-    for term in columns.keys() & curve.keys():
-        matrix[np.arange(count), np.arange(count) + columns[term].start] = curve[term]
-    names = tuple(f"friction of {joint.name}" for joint in joints)
-    return Bounds(names, matrix, np.zeros(count), np.full(count, np.inf))
+    return _curve_bounds(
+        parameters, [{"coulomb": np.ones(1), "stribeck": start[[k]]} for k in range(len(joints))]
+    )
 
 
 def friction_bounds(parameters: ParameterSet, speed: FloatArray) -> Bounds:
     """Return bounds by which the friction of each joint is not negative at its speeds.
 
-    Where a joint hardly moves, viscous friction alone must not be negative.
+    Where a joint hardly moves, viscous friction alone must not be negative. ``speed`` (J,) is the
+    root mean square of the speed of each joint with terms, rad/s or m/s.
+    """
+    if not {"viscous", "coulomb"} <= parameters.term_columns.keys():
+        return _curve_bounds(parameters, [])  # the bounds on single terms suffice
+    joints = [parameters.model.joints[joint] for joint in parameters.joints.tolist()]
+    fastest = (FASTEST * speed).tolist()
+    return _curve_bounds(parameters, [_curve(*each) for each in zip(fastest, joints, strict=True)])
 
-    Parameters
-    ----------
-    parameters : ParameterSet
-    speed : (J,) float64
-        Root mean square of the speed of each joint with terms, rad/s or m/s.
+
+def _curve_bounds(parameters: ParameterSet, curves: Sequence[Mapping[Term, FloatArray]]) -> Bounds:
+    """Return bounds by which friction is not negative.
+
+    ``curves`` hold the columns (k,) of the terms of each joint, at speeds of its own.
     """
     columns = parameters.term_columns
-    names, rows = [], []
-    if {"viscous", "coulomb"} <= set(columns):  # else the bounds on single terms suffice
-        for place, joint in enumerate(parameters.joints.tolist()):
-            curve = _curve(FASTEST * float(speed[place]), parameters.model.joints[joint])
-            row = np.zeros((len(curve["viscous"]), len(parameters)))
-            for term in columns.keys() & curve.keys():
-                row[:, columns[term].start + place] = curve[term]
-            rows.append(row)
-            names += [f"friction of {parameters.model.joint_names[joint]}"] * len(row)
-    matrix = np.concatenate(rows) if rows else np.zeros((0, len(parameters)))
-    zeros = np.zeros(len(matrix))
-    return Bounds(tuple(names), matrix, zeros, zeros + np.inf)
+    names, rows = [], [np.zeros((0, len(parameters)))]
+    for place, (joint, curve) in enumerate(zip(parameters.joints, curves, strict=False)):
+        row = np.zeros((max(map(len, curve.values())), len(parameters)))
+        for term in columns.keys() & curve.keys():
+            row[:, columns[term].start + place] = curve[term]
+        rows.append(row)
+        names += [f"friction of {parameters.model.joint_names[joint]}"] * len(row)
+    matrix = np.concatenate(rows)
+    return Bounds(tuple(names), matrix, np.zeros(len(matrix)), np.full(len(matrix), np.inf))
 
 
 def _curve(fastest: float, joint: Joint) -> dict[Term, FloatArray]:
@@ -127,13 +123,7 @@ def contradicts_signs(
 ) -> bool:
     """Return whether the efforts contradict armature and friction that are all positive.
 
-    Parameters
-    ----------
-    found : Posterior
-        Of the candidate terms.
-    parameters : ParameterSet
-    observations : Observations
-        The rows that it is from.
+    ``found`` is the posterior of the candidate terms, from these observations.
     """
     relaxed = replace(parameters, signed_drives=True)
     tested = parameters.nonnegative & ~relaxed.nonnegative

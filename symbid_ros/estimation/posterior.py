@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.block_matrices import independent_blocks, without_zeros
+from symbid_ros.estimation.directions import square_factor
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
@@ -145,14 +146,11 @@ class Posterior:
     def deviation_factor(self) -> FloatArray:
         """L (p, p) with covariance L Lᵀ."""
         factor = self.independent_factor
-        parts = [factor]
-        if self.excess_score is not None:
-            parts.append(factor @ (factor.T @ self.excess_score))
-        if self.other_models is not None:
-            parts.append(self.other_models)
-        if self.unseen is not None:
-            parts.append(self.unseen)
-        return _added(parts)
+        score = self.excess_score
+        excess = None if score is None else factor @ (factor.T @ score)
+        roots = factor, excess, self.other_models, self.unseen
+        parts = [one for one in roots if one is not None]
+        return square_factor(np.concatenate(parts, axis=1))
 
     @cached_property
     def parameter_covariance(self) -> FloatArray:
@@ -170,7 +168,9 @@ class Posterior:
     def prior_factor(self) -> FloatArray:
         """L₀ (p, p) with covariance L₀ L₀ᵀ before the data, wide where these show nothing."""
         factor = self.prior.covariance_factor()
-        return factor if self.unseen is None else _added([factor, self.unseen])
+        if self.unseen is None:
+            return factor
+        return square_factor(np.concatenate([factor, self.unseen], axis=1))
 
     def gain(self, count: int) -> float:
         """Return the information gained about the first ``count`` parameters, nat.
@@ -184,15 +184,6 @@ class Posterior:
             return float(np.sum(np.log(np.abs(triangle.diagonal()))))
 
         return log_volume(self.prior_factor) - log_volume(self.deviation_factor)
-
-
-def _added(roots: list[FloatArray]) -> FloatArray:
-    """Return a root (p, p) of the sum of covariances of which the roots (p, k) are given."""
-    if len(roots) == 1:
-        return roots[0]
-    wide = np.concatenate(roots, axis=1)
-    triangle = np.asarray(np.linalg.qr(wide.T, mode="r"), dtype=np.float64)
-    return triangle.T
 
 
 @dataclass(frozen=True)
@@ -373,7 +364,7 @@ class _Square:
         return root
 
     def evidence(self, judged: IntArray) -> "PriorEvidence":
-        """Return what the data tell about the deviations of some parameters.
+        """Return the evidence of the data for the deviations of some parameters.
 
         Σ is held constant (MacKay 1992, Neural Computation 4(3)), and noise in the regressor is
         subtracted here too.
@@ -396,8 +387,8 @@ class _Square:
         pull = U.T @ left[:, -1]
         most = np.where(values**2 < WEAK_INFORMATION, MOST_PULL, np.inf)
         # Links have more parameters than any motion shows.
-        told = SCALES[1] * values > np.sqrt(NO_INFORMATION)
-        return PriorEvidence((values[:, None] * Vt)[told], np.clip(pull, -most, most)[told])
+        is_shown = SCALES[1] * values > np.sqrt(NO_INFORMATION)
+        return PriorEvidence((values[:, None] * Vt)[is_shown], np.clip(pull, -most, most)[is_shown])
 
 
 def _principal(

@@ -4,7 +4,7 @@ Both work on the Gaussian posterior of all candidates together, so that no term 
 its own.
 """
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -51,7 +51,7 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 class CandidateTerms:
-    """What a Gaussian with all candidate terms free tells about each of them."""
+    """Evidence for each candidate term, from the Gaussian posterior with all of them free."""
 
     def __init__(self, found: Posterior, parameters: ParameterSet, terms: IntArray) -> None:
         factor = found.deviation_factor[terms]
@@ -62,6 +62,9 @@ class CandidateTerms:
         self._prior = found.prior
         self._parameters = parameters
         self._nonnegative = parameters.nonnegative
+        owners = [parameters.names[i].rpartition("/") for i in terms]
+        self._joints = [joint for joint, _, _ in owners]
+        self._kinds = np.array([kind for _, _, kind in owners], dtype=np.str_)
 
     def inseparable(self) -> tuple[tuple[int, int], ...]:
         """Return pairs of terms of one joint whose errors are completely correlated.
@@ -69,8 +72,7 @@ class CandidateTerms:
         Friction that depends on the load, which may resemble all other terms together, is fixed.
         """
         covariance = self._covariance
-        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self._terms]
-        fixed = np.array([kind == "load" for kind in kinds], dtype=bool)
+        fixed = self._kinds == "load"
         if fixed.any():
             gain = np.linalg.solve(covariance[np.ix_(fixed, fixed)], covariance[fixed])
             covariance = covariance - covariance[:, fixed] @ gain
@@ -78,18 +80,16 @@ class CandidateTerms:
         correlation = np.abs(covariance / np.outer(std, std))
         wide = std > 0.1 * self._prior.std[self._terms]
         pairs = np.argwhere(np.triu(correlation > INSEPARABLE, 1) & np.outer(wide, wide))
-        joints = [self._parameters.names[i].rpartition("/")[0] for i in self._terms]
         return tuple(
             (int(self._terms[one]), int(self._terms[two]))
             for one, two in pairs
-            if joints[one] == joints[two]
+            if self._joints[one] == self._joints[two]
         )
 
     @property
     def armatures(self) -> BoolArray:
         """Which terms are armatures of joints."""
-        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self._terms]
-        is_armature = np.array([kind == "armature" for kind in kinds], dtype=bool)
+        is_armature = self._kinds == "armature"
         return np.asarray(is_armature & (self._terms < self._parameters.first_coupled))
 
     def have_common_armature(self) -> bool:
@@ -110,25 +110,26 @@ class CandidateTerms:
 
     def mixed(self) -> BoolArray:
         """Return which terms are armatures that would be known far better if the links were."""
-        variance = self._covariance.diagonal()
-        return np.asarray(self.armatures & (self._without_links < (1 - MIXED) * variance))
+        return np.asarray(self.armatures & self._depends_on_links)
 
     def hidden_offsets(self) -> BoolArray:
         """Return which terms are offsets that would be known far better if the links were.
 
         In the rows of their joint alone, inertias replace them; the other rows tell them apart.
         """
-        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self._terms]
-        is_offset = np.array([kind == "offset" for kind in kinds], dtype=bool)
-        variance = self._covariance.diagonal()
-        return np.asarray(is_offset & (self._without_links < (1 - MIXED) * variance))
+        return np.asarray((self._kinds == "offset") & self._depends_on_links)
+
+    @property
+    def _depends_on_links(self) -> BoolArray:
+        """Which terms would be known far better if the parameters of the links were known."""
+        return np.asarray(self._without_links < (1 - MIXED) * self._covariance.diagonal())
 
     def ambiguous(self) -> BoolArray:
         """Return which terms are mixed armatures that the evidence alone does not support."""
         return np.asarray(self.mixed() & (self._log_bayes_factors() < SUPPORTED))
 
     def resolved(self) -> BoolArray:
-        """Return which terms are armatures whose presence the log tells."""
+        """Return which terms are armatures that the log resolves."""
         std = np.sqrt(self._covariance.diagonal())
         is_known = std < UNRESOLVED * self._prior.std[self._terms]
         return np.asarray(self.armatures & is_known & ~self.ambiguous())
@@ -205,25 +206,26 @@ def cross_validated(
                 terms = [i for i in terms if not parameters.names[i].endswith("/coulomb")]
             if not terms:
                 break
-            loss = _LeftOut(found, free, groups, part)
-            before = loss.without(None)
-            gains = [loss.without(i) - before for i in terms]
-            worst = int(np.argmin(gains))
-            if gains[worst] > 0:
+            if (useless := _useless_term(terms, [_LeftOut(found, free, groups, part)])) is None:
                 break
-            free[terms[worst]] = False
+            free[useless] = False
     for coupling, coupled in parameters.coupling_columns.items():
         # The drive's terms act on several joints, whose rows judge them together.
         of_joints = [parts[first + joint] for joint in coupling.joints if first + joint in parts]
         while terms := [i for i in coupled.values() if free[i]]:
             losses = [_LeftOut(found, free, groups, part) for part in of_joints]
-            before = sum(loss.without(None) for loss in losses)
-            gains = [sum(loss.without(i) for loss in losses) - before for i in terms]
-            worst = int(np.argmin(gains))
-            if gains[worst] > 0:
+            if (useless := _useless_term(terms, losses)) is None:
                 break
-            free[terms[worst]] = False
+            free[useless] = False
     return free
+
+
+def _useless_term(terms: Sequence[int], losses: Sequence["_LeftOut"]) -> int | None:
+    """Return the term that predicts left-out rows least; None if each predicts them better."""
+    before = sum(loss.without(None) for loss in losses)
+    gains = [sum(loss.without(term) for loss in losses) - before for term in terms]
+    worst = int(np.argmin(gains))
+    return None if gains[worst] > 0 else terms[worst]
 
 
 def _without_useless(

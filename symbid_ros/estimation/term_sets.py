@@ -44,8 +44,6 @@ class _JointSets:
 
     Attributes
     ----------
-    places : (m,) int
-        The joint's terms among all.
     free : (k, m) bool
         Which terms each set frees.
     score : (k,) float64
@@ -54,11 +52,20 @@ class _JointSets:
         Of the joint's terms from their prior means, if all of them are free.
     """
 
-    places: IntArray
     free: BoolArray
     score: FloatArray
     shift: FloatArray
     covariance: FloatArray
+
+    def removed(self, free: BoolArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how much variance (m, m) and shift (m,) a set's fixed terms take away.
+
+        Both are in the units of ``root`` (m, m).
+        """
+        fixed = np.ix_(~free, ~free)
+        precision = np.zeros_like(self.covariance)
+        precision[fixed] = np.linalg.inv(self.covariance[fixed])
+        return root.T @ precision @ root, -root.T @ (precision @ self.shift)
 
 
 class TermSets:
@@ -138,12 +145,12 @@ class TermSets:
             weight = weight / weight.sum()
             # In units in which the joint's terms, all free, are independent.
             root, inverse = _root(sets.covariance)
-            now, shift_now = self._removed(sets, free[places], root, inverse)
+            now, shift_now = sets.removed(free[places], root)
             core = np.zeros_like(now)
             for one, probability in zip(sets.free, weight, strict=True):
                 if probability == 0 or np.array_equal(one, free[places]):
                     continue
-                other, shift = self._removed(sets, one, root, inverse)
+                other, shift = sets.removed(one, root)
                 change = shift - shift_now
                 core += probability * (now - other + np.outer(change, change))
             values, U = np.linalg.eigh(core)
@@ -162,18 +169,6 @@ class TermSets:
         cost: FloatArray = np.maximum(self._enter + np.log((lack + 0.5) / (have + 0.5)), LEAST)
         return cost
 
-    def _removed(
-        self, sets: _JointSets, free: BoolArray, root: FloatArray, inverse: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return how much variance (m, m) and shift (m,) a set's fixed terms take away."""
-        taken = ~free
-        precision = np.zeros_like(sets.covariance)
-        if taken.any():
-            some = np.ix_(taken, taken)
-            precision[some] = np.linalg.inv(sets.covariance[some])
-        removed = root.T @ precision @ root
-        return removed, -root.T @ (precision @ sets.shift)
-
     def _sets(self, places: IntArray, free: BoolArray) -> _JointSets:
         """Return the possible sets of one joint beside the others' free terms."""
         shift, covariance = self._beside(places, free)
@@ -183,7 +178,7 @@ class TermSets:
         ]
         sets = np.array(list(product(*choices)), dtype=bool)
         is_possible, score = self._scores(places, sets, shift, covariance)
-        return _JointSets(places, sets[is_possible], score[is_possible], shift, covariance)
+        return _JointSets(sets[is_possible], score[is_possible], shift, covariance)
 
     def _scores(
         self, places: IntArray, sets: BoolArray, shift: FloatArray, covariance: FloatArray

@@ -208,11 +208,9 @@ def residual_deviation(
     m = problem.rank
     squares = np.diag(information.residual_moment(problem.solution(m)))
     weights = problem.directions[:, :m] / problem.singular_values[:m]
+    factors = zip(information.coordinate_factors, information.layout.columns, strict=True)
     share = np.array(
-        [
-            np.sum((information.coordinate_factor(i)[:, :-1] @ weights[columns]) ** 2)
-            for i, columns in enumerate(information.layout.columns)
-        ]
+        [np.sum((factor[:, :-1] @ weights[columns]) ** 2) for factor, columns in factors]
     )
     freedom = counts - share
     if np.any((freedom < 1) & (counts > 0)):
@@ -284,9 +282,8 @@ def prediction_errors(
     squares = np.array(
         [
             np.sum((factor[:, :-1] @ solutions[columns] - factor[:, -1:]) ** 2, axis=0)
-            for factor, columns in (
-                (validation.coordinate_factor(i), validation.layout.columns[i])
-                for i in range(len(coordinates))
+            for factor, columns in zip(
+                validation.coordinate_factors, validation.layout.columns, strict=True
             )
         ]
     )

@@ -341,7 +341,7 @@ def test_few_rows_are_kept_as_they_are_and_many_in_a_triangle(seed, counts):
         np.testing.assert_allclose(moment, whitened.T @ whitened, rtol=0, atol=1e-11 * scale)
     for coordinate, columns in enumerate(layout.columns):
         own = dense[:, coordinate, np.append(columns, -1)]
-        factor = found.coordinate_factor(coordinate)
+        factor = found.coordinate_factors[coordinate]
         close(factor.T @ factor, own.T @ own)
     few = layout.parameters[::2]
     some = found.restricted(few)

@@ -56,7 +56,7 @@ def assert_holds(observations, log, *weighted):
     """Compare the information of each coordinate with weighted sums of rows."""
     expected = dense(log, *weighted)
     for index, columns in enumerate(log.layout.columns):
-        factor = observations.rows.coordinate_factor(index)
+        factor = observations.rows.coordinate_factors[index]
         kept = np.append(columns, len(log.parameters))
         wanted = expected[index][np.ix_(kept, kept)]
         np.testing.assert_allclose(factor.T @ factor, wanted, atol=1e-9 * np.abs(wanted).max())

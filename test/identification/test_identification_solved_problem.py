@@ -151,7 +151,7 @@ def test_rows_are_weighted_by_given_sensor_noise(whole, symbitron):
     rows, prior = whole.solved.chosen.rows, whole.prior.mean
     normal, target = np.zeros((len(prior), len(prior))), np.zeros(len(prior))
     for index, columns in enumerate(rows.layout.columns):
-        factor = rows.coordinate_factor(index) / sigma[index]
+        factor = rows.coordinate_factors[index] / sigma[index]
         A, b = factor[:, :-1], factor[:, -1]
         normal[np.ix_(columns, columns)] += A.T @ A
         target[columns] += A.T @ (b - A @ prior[columns])

@@ -148,7 +148,7 @@ def with_measured_loads(
         for coordinate in range(place.start, place.stop):
             row = 6 * model.floating + coordinate
             used = np.append(layout.columns[row], len(phi))
-            factor = observations.rows.coordinate_factor(row)
+            factor = observations.rows.coordinate_factors[row]
             moment[np.ix_(used, used)] += factor.T @ factor
     size = np.sqrt(moment.diagonal()[:-1])
     shown = size > 0
