@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.choices import TERMS, Channels, Filter
+from symbid_ros.choices import TERMS, Base, Channels, Filter
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.directions import describe_determined
 from symbid_ros.estimation.provenance import Provenance
@@ -220,6 +220,11 @@ class Estimate:
         names = parameters.names[: parameters.inertial]
         reference = np.array([self.load_reference.get(name, 0.0) for name in names])
         return replace(parameters, reference=reference)
+
+    @property
+    def base_option(self) -> Base:
+        """The base as a model is loaded with it; ``auto`` before it is saved."""
+        return "floating" if self.base == "floating" else "fixed" if self.base else "auto"
 
     @property
     def is_floating(self) -> bool:

@@ -170,20 +170,15 @@ def diagnose(
         diagnosis = doctor.diagnose(log, robot).with_finding(found.finding(robot.source))
     elif (readings := find_readings(segments, robot)) is not None:
         return _with_readings(diagnosis, readings)
-    joints = find_missing_inertia(segments, robot)
-    return _with_missing_inertia(diagnosis, joints) if joints else diagnosis
-
-
-def _with_missing_inertia(diagnosis: Diagnosis, joints: Sequence[str]) -> Diagnosis:
-    """Return a diagnosis in which the efforts of joints have no inertia."""
-    finding = missing_inertia_finding(diagnosis.streams[0].topic, joints)
-    return diagnosis.with_readings(finding, "the inertia, which the efforts do not show")
+    if joints := find_missing_inertia(segments, robot):
+        finding = missing_inertia_finding(diagnosis.streams[0].topic, joints)
+        diagnosis = diagnosis.with_readings(finding, "the inertia, which the efforts do not show")
+    return diagnosis
 
 
 def _with_readings(diagnosis: Diagnosis, readings: JointReadings) -> Diagnosis:
     """Return a diagnosis with wrong readings of joints."""
-    (topic, *_) = (one.topic for one in diagnosis.streams)
-    finding = readings.finding(topic)
+    finding = readings.finding(diagnosis.streams[0].topic)
     # Gains, if known, show signs of efforts together with their units.
     found = [one for one in diagnosis.findings if one.kind is Kind.TORQUE_SIGN]
     signs = {name.removesuffix("/gain") for one in found for name in one.figures}

@@ -122,10 +122,7 @@ def identified_robot(folder: Path, robot: Path, estimate: Estimate) -> RobotMode
     EstimateError
         When its links or joints are not those of the result.
     """
-    base: Base = "floating" if estimate.base == "floating" else "auto"
-    if estimate.base == "fixed":
-        base = "fixed"
-    mjcf = is_mjcf(robot)
+    base, mjcf = estimate.base_option, is_mjcf(robot)
     source = load_model(robot, base)
     file = folder / MODEL_FILES[mjcf]
     if not mjcf:

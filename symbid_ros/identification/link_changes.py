@@ -12,9 +12,7 @@ from symbid_ros.estimation.archive import load_deviation_factor
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.estimate_file import load_estimate
 from symbid_ros.json_documents import versioned
-from symbid_ros.model.inertia import com_from_phi
-
-PARAMETERS = ("m", "mc_x", "mc_y", "mc_z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+from symbid_ros.model.inertia import PARAMETERS, com_from_phi
 
 
 @dataclass(frozen=True)

@@ -305,14 +305,8 @@ def load_information(
             "without `tare`, and with `sensor_errors` and `drive_gain` none",
             "E505",
         )
-    for name in (
-        "tare",
-        "payload",
-        "drive_gain",
-        "choose_truncation",
-        "sensor_std",
-        "sensor_errors",
-    ):
+    of_logs = "tare", "payload", "drive_gain", "choose_truncation", "sensor_std", "sensor_errors"
+    for name in of_logs:
         if getattr(options, name):
             raise OptionError(f"`{name}` needs a log, not information; leave it out", "E503")
     prior = choose_prior(options, parameters)

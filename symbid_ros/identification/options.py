@@ -449,16 +449,6 @@ class IdentifyOptions(RobotOptions):
         return not self.ripples and self.searches
 
     @property
-    def finds_springs(self) -> bool:
-        """Whether springs beside the drives are searched for in the log."""
-        return self.chooses_terms and self.searches
-
-    @property
-    def finds_warming(self) -> bool:
-        """Whether friction that changes is searched for in the log."""
-        return self.chooses_terms and self.searches
-
-    @property
     def finds_compliance(self) -> bool:
         """Whether elasticity of joints is searched for in the log."""
         named = self.named_sensor_errors or self.sensor_error_kinds or self.drive_gains
@@ -472,7 +462,7 @@ class IdentifyOptions(RobotOptions):
 
     @property
     def searches(self) -> bool:
-        """Whether terms other than candidates are searched for in the log."""
+        """Whether springs and other terms that are not candidates are searched for in the log."""
         added = self.has_unplaced_payload, self.information, self.contacts
         return self.chooses_terms and not any(added)
 

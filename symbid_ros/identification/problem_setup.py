@@ -35,12 +35,14 @@ from symbid_ros.identification.rows.dataset import Dataset, Processing, fold_dat
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.stored_information import merged_observations, with_columns
 from symbid_ros.identification.terms.choice import choose_terms
-from symbid_ros.identification.terms.couplings import find_couplings
+from symbid_ros.identification.terms.further_terms import (
+    find_couplings,
+    find_springs,
+    find_warming,
+)
 from symbid_ros.identification.terms.priors import candidate_prior, named_term_prior
 from symbid_ros.identification.terms.ripples import find_ripples
-from symbid_ros.identification.terms.springs import find_springs
 from symbid_ros.identification.terms.trial import with_plausible_prior
-from symbid_ros.identification.terms.warming import find_warming
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN, IMU_BIAS, PLACE
@@ -136,9 +138,9 @@ class ProblemSetup:
             return parameters, dataset, solved
         exact = self._with_exact_sensors(parameters, solved, dataset)
         for name, searches, find in (
-            ("terms", options.finds_springs, find_springs),
+            ("terms", options.searches, find_springs),
             ("couplings", options.finds_couplings, find_couplings),
-            ("warming", options.finds_warming, find_warming),
+            ("warming", options.searches, find_warming),
             ("ripples", options.finds_ripples, find_ripples),
         ):
             found = find(*exact) if searches else ()

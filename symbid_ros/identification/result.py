@@ -1,6 +1,6 @@
 """The result of an identification, as a user of the library sees it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.atomic_write import refuse_bag_folder
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import load_archive, write_archive
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.observations import Observations, covered_seconds
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.predictions.predictor import ForcePredictor
@@ -174,7 +174,7 @@ class LogInformation:
     @property
     def seconds(self) -> int:
         """Length of the logs, s."""
-        return len(frozenset[int]().union(*(one.seconds for one in self.observations)))
+        return len(covered_seconds(self.observations))
 
     def __repr__(self) -> str:
         windows = ", ".join(f"{1e3 * one.window:g}" for one in self.observations)
@@ -292,25 +292,23 @@ class Result:
             When the log is too short for a window.
         """
         require_log(log)
-        parts = list(self._rows(log))
+        predictor, model = self.predictor, self._parameters.model
+        parts = [
+            (part.stamp, part.valid, part.rows.y, part.rows.K @ predictor.unknowns)
+            for part in predictor.rows(AlignedLog(log, model), log.source)
+        ]
         if not parts:
             raise EstimateError(
                 f"{log.source}: too short to predict forces; give a longer log", "E508"
             )
-        stamp, measured, predicted = (np.concatenate(each) for each in zip(*parts, strict=True))
-        return ForcePrediction(stamp, self._parameters.model.coordinates, measured, predicted)
+        stamp, valid, *forces = (np.concatenate(each) for each in zip(*parts, strict=True))
+        measured, predicted = (np.where(valid, one, np.nan) for one in forces)
+        return ForcePrediction(stamp, model.coordinates, measured, predicted)
 
     @property
     def predictor(self) -> ForcePredictor:
         """Predicts forces on the rows of this identification."""
         return ForcePredictor.of(self._identification, self._parameters)
-
-    def _rows(self, log: Log) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
-        predictor = self.predictor
-        segments = AlignedLog(log, self._parameters.model)
-        for part in predictor.rows(segments, log.source):
-            predicted = part.rows.K @ predictor.unknowns
-            yield part.stamp, *_forces(part.rows.y, predicted, part.valid)
 
     def to_frame(self) -> "pandas.DataFrame":
         """Return the parameters as a table, one row each, indexed by name.
@@ -387,9 +385,3 @@ class Result:
         )
         title = f"{escape(self.estimate.model)}, {escape(self.estimate.method)}"
         return f"<h4>{title}</h4>{alarms}<table><tr>{head}</tr>{rows}</table>"
-
-
-def _forces(
-    measured: FloatArray, predicted: FloatArray, valid: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    return np.where(valid, measured, np.nan), np.where(valid, predicted, np.nan)

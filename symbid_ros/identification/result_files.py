@@ -100,10 +100,12 @@ def write_identification(
         if found.report is not None:
             writers[REPORT_DATA] = found.report.write
         if kinematics:
-            calibrated = Calibrated.of(found, parameters)
+            placed, before, (urdf, mjcf) = _placed(found, parameters), parameters.model, CALIBRATED
             writers |= {
-                CALIBRATED[0]: lambda path: write_text(path, calibrated.urdf()),
-                CALIBRATED[1]: lambda path: _write_mjcf(path, calibrated.mjcf(place)),
+                urdf: lambda path: write_text(path, export_urdf(estimate, placed, before)),
+                mjcf: lambda path: _write_mjcf(
+                    path, export_mjcf(estimate, placed, place, mjcf, before)
+                ),
             }
         return writers
 
@@ -213,52 +215,35 @@ def _write_to_temporary_folder(
     return f"{', '.join(saved)} written to {folder} instead{lost}"
 
 
-def export_urdf(estimate: Estimate, parameters: ParameterSet) -> str:
-    """Return the identified robot as URDF, based on the user's file if that is a URDF."""
-    return _urdf(parameters, estimate.value, _warning(estimate))
+def _placed(found: Identification, parameters: ParameterSet) -> ParameterSet:
+    """Return the parameters with the joint placements that were identified, if any."""
+    if not isinstance(found.rows, CalibratingRows):
+        return parameters
+    return found.rows.errors.placed(parameters, found.unknowns[len(parameters) :])
+
+
+def export_urdf(
+    estimate: Estimate, parameters: ParameterSet, before: RobotModel | None = None
+) -> str:
+    """Return the identified robot as URDF, based on the user's file if that is a URDF.
+
+    ``before`` has the joint placements of that file, if those of the parameters differ.
+    """
+    return _urdf(parameters, estimate.value, _warning(estimate), before)
 
 
 def export_mjcf(
-    estimate: Estimate, parameters: ParameterSet, folder: Path
+    estimate: Estimate,
+    parameters: ParameterSet,
+    folder: Path,
+    name: str = MODEL_FILES[1],
+    before: RobotModel | None = None,
 ) -> dict[PurePosixPath, str]:
-    """Return the identified robot as MJCF for ``folder``, based on the user's files if MJCF."""
-    return _mjcf(parameters, estimate.value, folder, _warning(estimate))
+    """Return the identified robot as MJCF for ``folder``, based on the user's files if MJCF.
 
-
-@dataclass(frozen=True)
-class Calibrated:
-    """An identified robot with identified joint placements, to be written.
-
-    Attributes
-    ----------
-    estimate : Estimate
-    placed : ParameterSet
-        With the identified placements.
-    before : RobotModel
-        With those of the user's file.
+    ``before`` has the joint placements of those files, if those of the parameters differ.
     """
-
-    estimate: Estimate
-    placed: ParameterSet
-    before: RobotModel
-
-    @classmethod
-    def of(cls, found: Identification, parameters: ParameterSet) -> "Calibrated":
-        """Return what an identification found; without joint placements those of the file."""
-        rows, placed = found.rows, parameters
-        if isinstance(rows, CalibratingRows):
-            placed = rows.errors.placed(parameters, found.unknowns[len(parameters) :])
-        return cls(found.estimate, placed, parameters.model)
-
-    def urdf(self) -> str:
-        """Return the robot as :func:`export_urdf` does."""
-        value, warning = self.estimate.value, _warning(self.estimate)
-        return _urdf(self.placed, value, warning, self.before)
-
-    def mjcf(self, folder: Path) -> dict[PurePosixPath, str]:
-        """Return the robot as :func:`export_mjcf` does."""
-        value, warning = self.estimate.value, _warning(self.estimate)
-        return _mjcf(self.placed, value, folder, warning, CALIBRATED[1], before=self.before)
+    return _mjcf(parameters, estimate.value, folder, _warning(estimate), name, before=before)
 
 
 def _urdf(

@@ -7,7 +7,7 @@ from symbid_ros.choices import SLIDING_TERMS
 from symbid_ros.dynamics.unmeasured_contacts import combined_coordinates
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.information import INCOMPATIBLE
-from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.observations import Observations, covered_seconds
 from symbid_ros.identification.terms.choice import rows_of
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -32,8 +32,7 @@ def merged_observations(
         When they differ in robot, parameters or windows, or share seconds of a log.
     """
     earlier = {one.window: one for one in second}
-    now, before = (frozenset[int]().union(*(one.seconds for one in run)) for run in (first, second))
-    if again := now & before:
+    if again := covered_seconds(first) & covered_seconds(second):
         raise EstimateError(
             f"{named}: {len(again)} s of this log are in it already and would be counted twice; "
             "leave `information` out, or name another log",

@@ -17,7 +17,7 @@ from symbid_ros.identification.predictions.force_errors import ForceRows
 from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.identification.stored_information import with_constant_friction
-from symbid_ros.identification.terms import warming
+from symbid_ros.identification.terms import further_terms
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.warming import NODES, is_change
@@ -200,7 +200,7 @@ def test_drives_that_cooled_in_a_pause_warm_up_again(robot, with_pause) -> None:
 
 
 def test_a_log_with_many_pauses_is_not_searched(robot, with_pause, monkeypatch, caplog) -> None:
-    monkeypatch.setattr(warming, "MOST_PARTS", 1)
+    monkeypatch.setattr(further_terms, "MOST_PARTS", 1)
     caplog.set_level(logging.INFO)
     found = sy.identify(robot, with_pause, unchecked=True, no_holdout=True)
     assert not found.estimate.courses
@@ -230,10 +230,10 @@ def hour_apart(robot, seconds):
     return sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
 
 
-@pytest.mark.parametrize("least", [warming.LEAST_WARMING, 0])
+@pytest.mark.parametrize("least", [further_terms.LEAST_WARMING, 0])
 def test_a_pause_is_not_taken_for_time_to_warm_up(robot, monkeypatch, least) -> None:
     """Two short recordings show no change, however long the pause between them is."""
-    monkeypatch.setattr(warming, "LEAST_WARMING", least)
+    monkeypatch.setattr(further_terms, "LEAST_WARMING", least)
     log = hour_apart(robot, seconds=20.0)
     found = sy.identify(robot, log, unchecked=True, no_holdout=True)
     assert found.estimate.verdict.is_coloured

@@ -24,7 +24,7 @@ from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.dynamics.upright import upward
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
-from symbid_ros.identification.terms.warming import is_too_short
+from symbid_ros.identification.terms.further_terms import is_too_short
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.warming import Course, courses_of

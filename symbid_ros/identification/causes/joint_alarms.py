@@ -1,11 +1,7 @@
 """Alarms about joints whose efforts the estimate does not predict, or whose signs are wrong."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-
 import numpy as np
 
-from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.findings import OF_READINGS, Kind
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.unexplained import force_text
@@ -19,12 +15,11 @@ from symbid_ros.identification.conventions.joint_readings import find_readings
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.terms.resting_joints import (
+    EffortStatistics,
     motionless_joints,
     resting_alarm,
     unpredicted_at_rest,
 )
-from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.segments import Segment
 
 # Share of a joint's measured effort (RMS) above which its residual counts as all of it, fewest
 # rows, and largest share of noise in averaged efforts.
@@ -120,12 +115,13 @@ def _unpredicted(
     }
     if not doubted:
         return {}, {}
-    efforts = _Efforts.of(problem.dataset.segments, model)
+    efforts = EffortStatistics.of(problem.dataset.segments, model)
+    noise = efforts.averaged_noise(rows.window)
     is_resting = motionless_joints(problem.dataset.samples.position, model)
     alarms, unjudged = {}, {}
     for name, size in doubted.items():
         index = model.joint_names.index(name)
-        if is_resting[index] or efforts.averaged_noise(index, rows.window) > NOISE * size:
+        if is_resting[index] or noise[index] > NOISE * size:
             continue
         unit = "Nm" if model.joints[index].kind == "revolute" else "N"
         if name in short:
@@ -143,44 +139,3 @@ def _unpredicted(
             f"moves and the effort is not noise: {cause}"
         )
     return alarms, unjudged
-
-
-@dataclass(frozen=True)
-class _Efforts:
-    """Statistics of the J joints' measured efforts.
-
-    Attributes
-    ----------
-    noise : (J,) float64
-        RMS noise, Nm (N).
-    correlation : (J,) float64
-        Of effort and velocity.
-    rate : float
-        Hz.
-    """
-
-    noise: FloatArray
-    correlation: FloatArray
-    rate: float
-
-    @classmethod
-    def of(cls, segments: Iterable[Segment], model: RobotModel) -> "_Efforts":
-        """Return the statistics of a log."""
-        square, power, motion, bend = np.zeros((4, len(model.joints)))
-        rate, count = 0.0, 0
-        for segment in segments:
-            effort = np.nan_to_num(segment.effort)
-            velocity = np.gradient(segment.position, axis=0) * segment.rate
-            square += np.sum(effort**2, axis=0)
-            motion += np.sum(velocity**2, axis=0)
-            power += np.sum(effort * velocity, axis=0)
-            # White noise of variance σ² has second differences of variance 6 σ².
-            bend += np.sum(np.diff(effort, n=2, axis=0) ** 2, axis=0) / 6
-            rate = segment.rate
-            count += len(effort)
-        correlation = power / np.maximum(np.sqrt(square * motion), 1e-300)
-        return cls(np.sqrt(bend / max(count, 1)), correlation, rate)
-
-    def averaged_noise(self, joint: int, window: float) -> float:
-        """Return the RMS noise of a joint's efforts, averaged over windows of length in s."""
-        return float(self.noise[joint] / np.sqrt(max(self.rate * window, 1.0)))

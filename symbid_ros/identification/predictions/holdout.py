@@ -13,12 +13,9 @@ from symbid_ros.identification.predictions.error_changes import enumerate_words
 from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.identification.predictions.validation import validate_segments
 from symbid_ros.identification.report_data import ForceSeries
-from symbid_ros.identification.report_series import (
-    PositionTrace,
-    force_series,
-)
+from symbid_ros.identification.report_series import PositionTrace, force_series
 from symbid_ros.identification.rows.dataset import Processing, fold_dataset
-from symbid_ros.identification.terms.warming import during
+from symbid_ros.identification.terms.further_terms import during
 from symbid_ros.signals.segments import HELD_OUT, RemoteSegments, Segment, split
 from symbid_ros.signals.weak_form import WINDOWS
 
@@ -36,20 +33,8 @@ MOST_STATES, MOST_QUERIES = 20_000, 1_000
 def hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOut, ForceSeries]:
     """Identify a log without its last quarter and predict the latter.
 
-    Parameters
-    ----------
-    problem : LoadedProblem
-    window : float
-        Length of the windows, s; 0 for filtered rows.
-    begin : int
-        Start of the log, ns.
-
-    Returns
-    -------
-    HoldOut
-        The errors of the prediction.
-    ForceSeries
-        The measured and predicted forces.
+    ``window`` is the length of the windows, s, 0 for filtered rows. The log begins at ``begin``,
+    ns. Return the errors of the prediction, and measured and predicted forces.
 
     Raises
     ------

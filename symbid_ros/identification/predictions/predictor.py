@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.choices import Base, Term
+from symbid_ros.choices import Term
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import (
@@ -21,7 +21,7 @@ from symbid_ros.errors import EstimateError, OptionError, SymbidError
 from symbid_ros.estimation.archive import load_archive, load_correlation
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings
 from symbid_ros.estimation.estimate_file import load_estimate
-from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.observations import covered_seconds
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result_files import load_estimated_model
@@ -137,7 +137,7 @@ class ForcePredictor:
             noise=_row_noise(estimate, parameters.model),
             correlation=found.correlation,
             settings=estimate.rows or RowSettings("weak", found.window),
-            seconds=_seconds(found.observations),
+            seconds=covered_seconds(found.observations),
         )
 
     @classmethod
@@ -184,7 +184,7 @@ class ForcePredictor:
             noise=_row_noise(estimate, found.parameters.model),
             correlation=load_correlation(folder / "information.npz"),
             settings=settings,
-            seconds=_seconds(load_archive(folder / "information.npz")),
+            seconds=covered_seconds(load_archive(folder / "information.npz")),
         )
 
     def with_frames_of(self, log: Log) -> "ForcePredictor":
@@ -445,11 +445,8 @@ def load_result_robot(folder: Path, estimate: Estimate) -> RobotModel:
     if not name:
         is_mjcf = any(one.endswith(".xml") for one in estimate.inputs)
         name = MODEL_FILES[is_mjcf]
-    base: Base = "floating" if estimate.base == "floating" else "auto"
-    if estimate.base == "fixed":
-        base = "fixed"
     try:
-        return load_identified_model(folder / name, base)
+        return load_identified_model(folder / name, estimate.base_option)
     except SymbidError as error:
         raise EstimateError(
             f"{folder}: its model cannot be read ({error}); identify the log again", "E527"
@@ -458,10 +455,6 @@ def load_result_robot(folder: Path, estimate: Estimate) -> RobotModel:
 
 def _sensor_names(estimate: Estimate) -> tuple[str, ...]:
     return () if estimate.verdict is None else tuple(one.name for one in estimate.verdict.sensors)
-
-
-def _seconds(observations: Iterable[Observations]) -> frozenset[int]:
-    return frozenset[int]().union(*(one.seconds for one in observations))
 
 
 def _row_noise(estimate: Estimate, model: RobotModel) -> FloatArray | None:

@@ -2,10 +2,12 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from symbid_ros.arrays import FloatArray, IntArray, concatenated
+from symbid_ros.arrays import FloatArray, concatenated
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.kinematics import link_poses, rotate
@@ -130,7 +132,8 @@ def realistic_motion(
         )
     low_pass = low_pass or CausalLowPass()
     filtered = [_filtered(segment, streams, model, low_pass) for segment in align(streams, model)]
-    stamp = np.concatenate([part.stamp for part in filtered])
+    measured = {name: np.concatenate([part[name] for part in filtered]) for name in filtered[0]}
+    stamp = measured.pop("stamp")
     common, here, there = np.intersect1d(stamp, truth.samples.stamp, return_indices=True)
     if len(common) == 0:
         raise BagError(
@@ -138,46 +141,24 @@ def realistic_motion(
             "velocity filter has settled; use a longer bag of `symbid simulate`",
             "E525",
         )
-
-    def at_common(name: str) -> FloatArray:
-        found: FloatArray = np.concatenate([getattr(part, name) for part in filtered])[here]
-        return found
-
     true = truth[there]
-    samples = replace(
-        true.samples,
-        position=at_common("position"),
-        velocity=at_common("velocity"),
-        effort=at_common("last_effort"),
-        base_angular_velocity=at_common("base_angular_velocity"),
-    )
-    return RealisticMotion(samples, true)
-
-
-@dataclass(frozen=True)
-class _FilteredSegment:
-    """Measured part of a :class:`RealisticMotion` at ``stamp`` (N,)."""
-
-    stamp: IntArray
-    position: FloatArray
-    velocity: FloatArray
-    last_effort: FloatArray
-    base_angular_velocity: FloatArray
+    at_common: dict[str, Any] = {name: values[here] for name, values in measured.items()}
+    return RealisticMotion(replace(true.samples, **at_common), true)
 
 
 def _filtered(
     segment: Segment, streams: Streams, model: RobotModel, low_pass: CausalLowPass
-) -> _FilteredSegment:
-    position, rate = segment.position, segment.rate
-    velocity = low_pass.velocity(position, rate)
-    edge = max(1, low_pass.settling(rate))
-    return _FilteredSegment(
-        stamp=segment.stamp[edge:],
-        position=position[edge:],
-        velocity=velocity[edge:],
-        last_effort=np.nan_to_num(segment.effort[edge - 1 : -1]),
-        base_angular_velocity=_base_rate(segment, streams, model, low_pass, velocity)[edge:],
-    )
+) -> dict[str, NDArray[Any]]:
+    """Return the measured fields of a :class:`RealisticMotion`, and their stamps (N,)."""
+    velocity = low_pass.velocity(segment.position, segment.rate)
+    edge = max(1, low_pass.settling(segment.rate))
+    return {
+        "stamp": segment.stamp[edge:],
+        "position": segment.position[edge:],
+        "velocity": velocity[edge:],
+        "effort": np.nan_to_num(segment.effort[edge - 1 : -1]),  # of the period before
+        "base_angular_velocity": _base_rate(segment, streams, model, low_pass, velocity)[edge:],
+    }
 
 
 def _base_rate(

@@ -15,15 +15,15 @@ from symbid_ros.identification.problem import Problem
 COMPARABLE = 1e-2
 
 # Share of a coordinate's independent rows that parameters fit, above which its residuals no longer
-# tell the noise: the weight that they give it grows until the fit is exact.
+# measure the noise: the weight that they give it grows until the fit is exact.
 MOST_FITTED = 0.5
 
 # RMS of what an estimate adds to the residual of shorter windows' rows, as a share of the measured
 # forces, above which it misses what fast motion shows.
 MISSED_MOTION = 0.05
 
-# Share of the largest gain below which rows tell nothing, such as those of so few long windows that
-# no coordinate gets a weight.
+# Share of the largest gain below which rows are not informative, such as those of so few long
+# windows that no coordinate gets a weight.
 LEAST_GAIN = 0.1
 
 # Factor by which the number of blocks grows between two comparisons online.
@@ -87,12 +87,7 @@ class WindowSelector:
     def update(self, problem: Problem, count: int) -> float | None:
         """Solve one more window length; return the best one, s, at the end of a comparison.
 
-        Parameters
-        ----------
-        problem : Problem
-            From complete blocks, with data.
-        count : int
-            Number of these blocks.
+        The data of the problem are those of ``count`` complete blocks.
         """
         # A comparison that fails is repeated only when there are more blocks.
         comparison, self._comparison = self._comparison, None
@@ -156,18 +151,18 @@ def _most_informative(found: Sequence[Posterior], rows: Sequence[Observations], 
         fitted[index] = data.fitted_share(factor @ factor.T, one.covariance).max()
     gain = np.array([one.gain(count) for one in found])
     best = gain.max()
-    tells = gain >= min(LEAST_GAIN * best, best)  # even if rounding makes all gains negative
-    clean = noise <= max(SUSPICIOUS_NOISE, noise[tells].min())
-    judged = fitted <= max(MOST_FITTED, fitted[tells].min())
+    is_informative = gain >= min(LEAST_GAIN * best, best)  # even if rounding makes all negative
+    is_clean = noise <= max(SUSPICIOUS_NOISE, noise[is_informative].min())
+    is_redundant = fitted <= max(MOST_FITTED, fitted[is_informative].min())
 
     def misses_motion(index: int) -> bool:
-        shorter = np.flatnonzero((tells & clean & judged)[:index]).tolist()
+        shorter = np.flatnonzero((is_informative & is_clean & is_redundant)[:index]).tolist()
         added = [_added_residual(rows[one], found[index], found[one]) for one in shorter]
         return max(added, default=0.0) > MISSED_MOTION
 
     def rank(index: int) -> tuple[float, ...]:
-        flags = tells[index], clean[index], judged[index], not misses_motion(index)
-        return *map(bool, flags), float(gain[index])
+        flags = is_informative[index], is_clean[index], is_redundant[index]
+        return *map(bool, flags), not misses_motion(index), float(gain[index])
 
     return max(range(len(found)), key=rank)
 

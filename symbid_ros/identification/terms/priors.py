@@ -48,33 +48,36 @@ def candidate_prior(
 ) -> Prior:
     """Return the prior in which each term's deviation suits the efforts that the joint needs.
 
-    With that deviation alone a term may explain the joint's whole root mean square effort. An
+    With that deviation alone a term may explain the whole root mean square effort of its rows. An
     armature is rather of the size of the inertia that the joint moves. These replace default
     deviations, which do not know the robot's size; those of the user remain. A value of the model
     file is the mean, and may be wrong by itself. ``factors`` (J,) convert efforts of unknown units.
     """
-    std = prior.std.copy()
-    if parameters.model.contacts is not None:
-        return _with_contact_deviations(prior, parameters, observations)
-    inertia = _joint_inertia(parameters, prior.mean)
-    rows = observations.rows
-    first = 6 * parameters.model.floating
+    model, has_contacts = parameters.model, parameters.model.contacts is not None
+    free = replace(parameters, model=replace(model, contacts=None)) if has_contacts else parameters
+    inertia = _joint_inertia(free, prior.mean)
+    std, rows, assumed = prior.std.copy(), observations.rows, set(prior.assumed)
+    first = 6 * model.floating
     efforts = rows.target_squares.copy()
     if factors is not None:
         efforts[first:] *= factors**2
-    assumed = set(prior.assumed)
     joints = parameters.joints.tolist()
     for term, columns in parameters.term_columns.items():
         for joint, column in zip(joints, range(columns.start, columns.stop), strict=True):
             if parameters.names[column] not in assumed:
                 continue
-            square = rows.column_squares(first + joint, column)
-            effort = efforts[first + joint]
+            affected = [first + joint]
+            if has_contacts:  # rows combine the efforts of several joints
+                affected = np.flatnonzero(rows.layout.structure[:, column]).tolist()
+            square = sum(rows.column_squares(one, column) for one in affected)
+            effort = float(efforts[affected].sum())
             if square > 0 and effort > 0:
                 std[column] = np.sqrt(effort / square)
                 if term == "armature":
                     std[column] = max(inertia[joint], LEAST_SHARE * std[column])
             std[column] = max(std[column], abs(prior.mean[column]))
+    if has_contacts:
+        return prior.widened(std / prior.std)
     further = [
         (coupling.joints, coupled.values())
         for coupling, coupled in parameters.coupling_columns.items()
@@ -82,8 +85,8 @@ def candidate_prior(
         ((one.joint,), range(columns.start, columns.stop))
         for one, columns in parameters.further_columns.items()
     ]
-    for affected, own in further:
-        coordinates = [first + joint for joint in affected]
+    for owners, own in further:
+        coordinates = [first + joint for joint in owners]
         for column in own:
             squares = np.array([rows.column_squares(one, column) for one in coordinates])
             if parameters.names[column] in assumed and np.all(squares > 0):
@@ -104,32 +107,6 @@ def named_term_prior(
     """
     sized = candidate_prior(prior, parameters, observations, factors)
     return prior.widened(np.maximum(sized.std / prior.std, 1.0))
-
-
-def _with_contact_deviations(
-    prior: Prior, parameters: ParameterSet, observations: Observations
-) -> Prior:
-    """Return the prior for rows that combine the efforts of several joints.
-
-    With its deviation alone, a term may explain the root mean square of all rows that it affects.
-    """
-    model = replace(parameters.model, contacts=None)
-    inertia = _joint_inertia(replace(parameters, model=model), prior.mean)
-    std, rows, assumed = prior.std.copy(), observations.rows, set(prior.assumed)
-    joints = parameters.joints.tolist()
-    for term, columns in parameters.term_columns.items():
-        for joint, column in zip(joints, range(columns.start, columns.stop), strict=True):
-            if parameters.names[column] not in assumed:
-                continue
-            affected = np.flatnonzero(rows.layout.structure[:, column]).tolist()
-            square = sum(rows.column_squares(one, column) for one in affected)
-            effort = float(rows.target_squares[affected].sum())
-            if square > 0 and effort > 0:
-                std[column] = np.sqrt(effort / square)
-                if term == "armature":
-                    std[column] = max(inertia[joint], LEAST_SHARE * std[column])
-            std[column] = max(std[column], abs(prior.mean[column]))
-    return prior.widened(std / prior.std)
 
 
 def _joint_inertia(parameters: ParameterSet, phi: FloatArray) -> FloatArray:

@@ -1,6 +1,7 @@
-"""Joints that do not move in a log: their readings cannot show springs, and may be frozen."""
+"""Joints that do not move in a log, whose readings may be frozen, and statistics of efforts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.identification.rows.dataset import Dataset
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.segments import Segment
 
 # RMS deviation from the mean position of a joint that rests: rad, and m of a slide.
 RESTING_ANGLE, RESTING_TRAVEL = 1e-3, 1e-4
@@ -26,19 +28,58 @@ def motionless_joints(position: FloatArray, model: RobotModel) -> BoolArray:
     return np.asarray(deviation < np.where(is_slide, RESTING_TRAVEL, RESTING_ANGLE))
 
 
+@dataclass(frozen=True)
+class EffortStatistics:
+    """Statistics of the J joints' measured efforts.
+
+    Attributes
+    ----------
+    size, change, noise : (J,) float64
+        Root mean squares of the effort, of its deviation from the mean, and of its noise, Nm (N).
+    correlation : (J,) float64
+        Of effort and velocity.
+    rate : float
+        Hz.
+    """
+
+    size: FloatArray
+    change: FloatArray
+    noise: FloatArray
+    correlation: FloatArray
+    rate: float
+
+    @classmethod
+    def of(cls, segments: Iterable[Segment], model: RobotModel) -> "EffortStatistics":
+        """Return the statistics of a log."""
+        total, square, power, motion, bend = np.zeros((5, len(model.joints)))
+        rate, count = 0.0, 0
+        for segment in segments:
+            effort = np.nan_to_num(segment.effort)
+            velocity = np.gradient(segment.position, axis=0) * segment.rate
+            total += effort.sum(axis=0)
+            square += np.sum(effort**2, axis=0)
+            motion += np.sum(velocity**2, axis=0)
+            power += np.sum(effort * velocity, axis=0)
+            # White noise of variance σ² has second differences of variance 6 σ².
+            bend += np.sum(np.diff(effort, n=2, axis=0) ** 2, axis=0) / 6
+            rate = segment.rate
+            count += len(effort)
+        count = max(count, 1)
+        change = np.sqrt(np.maximum(square / count - (total / count) ** 2, 0.0))
+        correlation = power / np.maximum(np.sqrt(square * motion), 1e-300)
+        return cls(np.sqrt(square / count), change, np.sqrt(bend / count), correlation, rate)
+
+    def averaged_noise(self, window: float) -> FloatArray:
+        """Return the RMS noise (J,) of efforts that are averaged over windows of length in s."""
+        return np.asarray(self.noise / np.sqrt(max(self.rate * window, 1.0)))
+
+
 def unpredicted_at_rest(
     solved: SolvedProblem, dataset: Dataset, residual: Mapping[str, float]
 ) -> tuple[str, ...]:
     """Return the joints of a fixed base that do not move and whose efforts are not predicted.
 
-    Parameters
-    ----------
-    solved : SolvedProblem
-        Of the log.
-    dataset : Dataset
-        The log.
-    residual : mapping of str to float
-        RMS residual of each coordinate, Nm or N.
+    ``residual`` is the RMS residual of each coordinate, Nm or N.
     """
     problem, rows = solved.problem, solved.chosen
     model = problem.parameters.model
@@ -47,19 +88,9 @@ def unpredicted_at_rest(
     is_resting = motionless_joints(dataset.samples.position, model)
     if not is_resting.any():
         return ()
-    count, total, square, bend, rate = 0, *np.zeros((3, len(model.joints))), 0.0
-    for segment in dataset.segments:
-        effort = np.nan_to_num(segment.effort)
-        count += len(effort)
-        total += effort.sum(axis=0)
-        square += np.sum(effort**2, axis=0)
-        # White noise of variance σ² has second differences of variance 6 σ².
-        bend += np.sum(np.diff(effort, n=2, axis=0) ** 2, axis=0) / 6
-        rate = segment.rate
-    size = np.sqrt(square / count)
-    change = np.sqrt(np.maximum(square / count - (total / count) ** 2, 0.0))
-    noise = np.sqrt(bend / count / max(rate * rows.window, 1.0))
-    least = np.max([SHARE * size, SHARE_OF_CHANGE * change, CLEAR * noise], axis=0)
+    efforts = EffortStatistics.of(dataset.segments, model)
+    noise = efforts.averaged_noise(rows.window)
+    least = np.max([SHARE * efforts.size, SHARE_OF_CHANGE * efforts.change, CLEAR * noise], axis=0)
     counts = dict(zip(rows.layout.coordinates, rows.counts.diagonal(), strict=True))
     return tuple(
         name

@@ -1,7 +1,7 @@
 """Finds torques that repeat in a turn of a joint, when the joints' terms leave residuals.
 
-For each revolute joint and each number of periods, the residuals tell how much their squares would
-fall with the two columns of such a torque, all other parameters adjusted (a score test). The best
+For each revolute joint and each number of periods, a score test tells how much the squared
+residuals would fall with the two columns of such a torque, all other parameters adjusted. The best
 number of each joint is a candidate, and those that improve the prediction of rows that are left out
 are added. A joint that passes over its angles only once or twice is skipped, because any slow
 change then resembles a function of the angle.
@@ -39,19 +39,9 @@ REPLACED = 1e-6
 
 
 def find_ripples(solved: SolvedProblem, dataset: Dataset) -> tuple[Ripple, ...]:
-    """Return the ripples that a log shows, at most one for each joint.
+    """Return the ripples that a log shows, at most one for each joint; none in white residuals.
 
-    Parameters
-    ----------
-    solved : SolvedProblem
-        Of the log, with chosen joint terms and without ripples.
-    dataset : Dataset
-        The log.
-
-    Returns
-    -------
-    tuple of Ripple
-        Empty if the residuals are white noise.
+    ``solved`` has chosen joint terms and no ripples.
     """
     choice = solved.problem.choice
     if choice is None or choice.parameters.ripples or not leaves_residuals(solved):
@@ -173,11 +163,7 @@ def _explained_shares(moment: FloatArray, deviations: FloatArray) -> FloatArray:
 class _RippleRows:
     """Builds rows with sines and cosines of the angle of each row's joint, a ``RowBuilder``.
 
-    Attributes
-    ----------
-    build : RowBuilder
-        Of the identified unknowns.
-    parameters : ParameterSet
+    ``build`` builds the rows of the identified unknowns.
     """
 
     build: RowBuilder

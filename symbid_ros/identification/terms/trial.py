@@ -91,14 +91,12 @@ def try_columns(
     solved : SolvedProblem
         Of the log, with chosen joint terms and without the columns.
     training : iterable of Segment
+        From a log named ``source``.
     source : str
-        Name of the log.
     parameters : ParameterSet
         All candidate terms, and the further columns.
-    slips : bool
-        Whether to use only rows of slipping joints.
-    grouping : Grouping
-        Which rows are left out together when columns are judged by the rows that they predict.
+    slips, grouping
+        Whether only rows of slipping joints are used, and which rows are left out together.
     """
     problem, window = solved.problem, solved.chosen.window
     choice = problem.choice
