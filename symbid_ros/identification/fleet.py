@@ -88,13 +88,7 @@ def fleet(robot: RobotModel, data: Mapping[str, tuple[Observations, ...]]) -> Fl
     """Compare robots of one type by the information of their logs.
 
     Joint terms, the prior's scale and the length of windows are chosen for all robots together.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        Nominal model of all.
-    data : mapping of str to tuple of Observations
-        By name of the robot.
+    ``robot`` is the nominal model of all, and ``data`` has the name of each robot.
 
     Raises
     ------

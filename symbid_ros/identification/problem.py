@@ -118,13 +118,7 @@ def check_weight(
 ) -> None:
     """Check that the measured forces carry the weight of a floating robot.
 
-    Parameters
-    ----------
-    rows : Information
-    parameters : ParameterSet
-    prior : Prior
-    cause : callable
-        Returns what is wrong and how to correct it, if the check fails.
+    ``cause`` returns what is wrong and how to correct it, if the check fails.
 
     Raises
     ------
@@ -133,18 +127,14 @@ def check_weight(
     """
     if not parameters.model.floating or parameters.model.contacts is not None:
         return
-    missing = _missing_weight(rows, parameters, prior)
+    moment = rows.residual_moment(prior.mean).diagonal() / max(rows.samples, 1)
+    masses = parameters.link_phi(prior.mean)[:, 0]
+    weight = np.linalg.norm(parameters.model.gravity) * masses.sum()
+    # RMS residual of the base's force rows, as a share of the prior's weight.
+    missing = float(np.sqrt(moment[3:6].sum()) / weight)
     if missing > MAX_UNEXPLAINED:
         raise DataError(
             f"live topics: the measured wrenches differ from those that the motion needs by "
             f"{100 * missing:.0f} % of the robot's weight; {cause()}",
             "E513",
         )
-
-
-def _missing_weight(rows: Information, parameters: ParameterSet, prior: Prior) -> float:
-    """Return the RMS residual of the base's force rows, as a share of the prior's weight."""
-    moment = rows.residual_moment(prior.mean).diagonal() / max(rows.samples, 1)
-    masses = parameters.link_phi(prior.mean)[:, 0]
-    weight = np.linalg.norm(parameters.model.gravity) * masses.sum()
-    return float(np.sqrt(moment[3:6].sum()) / weight)

@@ -31,7 +31,7 @@ logger = logging.getLogger(__name__)
 DECIDED = 0.1
 # Standard deviation of a factor of unknown unit, relative to its first guess.
 SPREAD = 1.0
-# What calibrated joints tell of the other factors, as the share of a joint's effort that the links
+# Weight of calibrated joints in the common factor, as the share of a joint's effort that the links
 # explain: they decide where these explain next to nothing.
 CALIBRATED = 0.1
 # Number of joints whose efforts the links must explain for first guesses to tell a common scale.
@@ -57,7 +57,8 @@ class InitialFactors:
     unsigned : tuple of str
         Those whose sign the log does not show; it is taken as positive.
     tell_scale : bool
-        Whether the guesses tell the common scale. They do not if other joints are calibrated and
+        Whether the guesses determine the common scale. They do not if other joints are calibrated
+        and
         the links explain next to nothing of these efforts, or if the prior holds it.
     spread : float
         Standard deviation of a factor, relative to its first guess.
@@ -89,14 +90,7 @@ class InitialFactors:
 
 @dataclass(frozen=True)
 class ConvertedSegments:
-    """Segments with efforts in Nm and N.
-
-    Attributes
-    ----------
-    segments : iterable of Segment
-    factors : (J,) float64
-        Torque or force per unit of the measured effort.
-    """
+    """Segments with efforts in Nm and N; factors (J,) are torques or forces per measured unit."""
 
     segments: Iterable[Segment]
     factors: FloatArray
@@ -132,15 +126,8 @@ def with_measured_loads(
 ) -> FloatArray:
     """Return parameters in which wrist sensors have weighed the bodies beyond them.
 
-    The model file may lack a tool, whose weight the drives carry nevertheless.
-
-    Parameters
-    ----------
-    phi : (p,) float64
-        The prior's mean.
-    observations : Observations
-        Rows of the log; those of wrist sensors contain no effort of a drive.
-    parameters : ParameterSet
+    The model file may lack a tool, whose weight the drives carry nevertheless. ``phi`` (p,) is the
+    prior's mean. Rows of wrist sensors contain no effort of a drive.
     """
     model, layout = parameters.model, observations.layout
     moment = np.zeros((len(phi) + 1, len(phi) + 1))
@@ -163,17 +150,9 @@ def with_measured_loads(
 def initial_factors(
     segments: Iterable[Segment], parameters: ParameterSet, phi: FloatArray, joints: tuple[str, ...]
 ) -> InitialFactors:
-    """Return sign and size of the factors of some joints from a log.
+    """Return sign and size of the unknown factors of ``joints`` from a log.
 
-    Parameters
-    ----------
-    segments : iterable of Segment
-        The log.
-    parameters : ParameterSet
-    phi : (p,) float64
-        The prior's mean, with the loads that wrist sensors measure.
-    joints : tuple of str
-        Joints whose factor is unknown.
+    ``phi`` (p,) is the prior's mean, with the loads that wrist sensors measure.
     """
     model = parameters.model
     moments = np.zeros((len(model.joints), 5, 5))
@@ -249,10 +228,7 @@ class _Factor:
 def _factor(moment: FloatArray) -> _Factor:
     """Return a joint's factor.
 
-    Parameters
-    ----------
-    moment : (5, 5) float64
-        Of needed torque, speed, sign of the speed, one, and measured effort.
+    The moment (5, 5) is that of needed torque, speed, sign of the speed, one, and measured effort.
     """
     from scipy.optimize import nnls  # noqa: PLC0415 - loads slowly, and is seldom needed
 

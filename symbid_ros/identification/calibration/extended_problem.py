@@ -132,17 +132,9 @@ class ExtendedProblem:
         request: SensorErrorRequest,
         measured: Samples | Segment,
     ) -> "ExtendedProblem":
-        """Extend a problem without sensor errors.
+        """Extend a problem without sensor errors, whose observations are not used.
 
-        Parameters
-        ----------
-        problem : Problem
-            Its observations are not used.
-        wrench_frames, imu_frames : tuple of str
-            Frames of the sensors.
-        request : SensorErrorRequest
-        measured : Samples or Segment
-            Data whose efforts give the prior deviations of compliances.
+        The efforts of ``measured`` give the prior deviations of compliances.
         """
         parameters = problem.parameters
         gained = () if request.factors is None else request.factors.joints
@@ -230,13 +222,7 @@ def calibration_windows(rate: float) -> tuple[float, float]:
 def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -> Problem:
     """Return a problem with sensor errors as unknowns, linearised about the best estimate.
 
-    Parameters
-    ----------
-    problem : Problem
-        Without sensor errors; its observations are not used.
-    dataset : Dataset
-        The log.
-    request : SensorErrorRequest
+    The given problem has none, and its observations are not used.
     """
     segment = next(iter(dataset.segments))
     extended = ExtendedProblem.of(
@@ -384,18 +370,8 @@ def is_undetermined(
 ) -> bool:
     """Return whether the log leaves the common scale of drive gains open.
 
-    Parameters
-    ----------
-    scale : (p + r,) float64
-        Row of which the value is the scale.
-    observations : Observations
-        The log's rows.
-    prior : Prior
-        The links' deviations are widened, so that they do not tell the scale.
-    pseudo_measurements : PseudoMeasurements or None
-        Such as the total mass.
-    count : int
-        Number of parameters p of links and joints.
+    The product of ``scale`` (p + r,) and the unknowns is the scale. The deviations of the first
+    ``count`` unknowns, those of links and joints, are widened, so that they do not determine it.
     """
     wide = np.ones(len(prior.mean))
     wide[:count] = WIDE
@@ -426,16 +402,8 @@ def without_terms(problem: Problem, dataset: Dataset, free: BoolArray) -> Proble
     """Return the problem linearised about a point without the terms that were not chosen.
 
     The columns of drive gains contain the predicted torque. With the torque of terms that are no
-    unknowns they would seem to know the scale of the efforts.
-
-    Parameters
-    ----------
-    problem : Problem
-        With sensor errors.
-    dataset : Dataset
-        The log.
-    free : (p,) bool
-        Parameters that are identified.
+    unknowns they would seem to know the scale of the efforts. ``free`` (p,) marks the parameters
+    that are identified.
     """
     build = problem.calibrated_rows
     assert build is not None

@@ -41,14 +41,8 @@ def shows_compliance(solved: SolvedProblem, dataset: Dataset) -> bool:
     """Return whether a log of a robot with a fixed base shows joints that bend.
 
     The encoders are on the motors' side. A joint that bends under gravity looks like a wrong
-    encoder offset and shifts first moments of links, while its residuals are small.
-
-    Parameters
-    ----------
-    solved : SolvedProblem
-        Of the log, with chosen joint terms and without sensor errors.
-    dataset : Dataset
-        The log, of which the first three quarters are used.
+    encoder offset and shifts first moments of links, while its residuals are small. ``solved`` has
+    chosen joint terms and no sensor errors. The first three quarters of the log are used.
     """
     model = solved.problem.parameters.model
     if solved.problem.choice is None or model.floating or model.wrist_sensors or model.contacts:
@@ -74,14 +68,8 @@ def shows_compliance(solved: SolvedProblem, dataset: Dataset) -> bool:
 def shows_imu_bias(solved: SolvedProblem, dataset: Dataset) -> bool:
     """Return whether a log of a robot with foot sensors shows biases of its IMUs.
 
-    A bias of 0.02 m/s² shifts first moments of links as a tilt of 0.1° does.
-
-    Parameters
-    ----------
-    solved : SolvedProblem
-        Of the log, without sensor errors.
-    dataset : Dataset
-        The log, of which the first three quarters are used.
+    A bias of 0.02 m/s² shifts first moments of links as a tilt of 0.1° does. ``solved`` has no
+    sensor errors. The first three quarters of the log are used.
     """
     model = solved.problem.parameters.model
     if not model.floating or model.contacts or solved.whiteness <= WHITE:
@@ -99,12 +87,6 @@ def biases_explain(biased: SolvedProblem, solved: SolvedProblem, dataset: Datase
     """Return whether biases of IMUs explain what a log's residuals contained without them.
 
     Other errors of sensors resemble a bias a little, and are named by what they leave.
-
-    Parameters
-    ----------
-    biased, solved : SolvedProblem
-        Of the log, with and without biases as unknowns.
-    dataset : Dataset
     """
     left, before = biased.whiteness - WHITE, solved.whiteness - WHITE
     if biased.whiteness >= SUSPICIOUS_WHITENESS and left > before / 2:

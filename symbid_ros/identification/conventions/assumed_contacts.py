@@ -39,7 +39,7 @@ LOW, OFTEN = 0.1, 0.1
 # Ends of which a surface touches the ground are few: more have too many unknown wrenches.
 FEW = 2
 FEWEST = 2  # ends on which a robot stands: a lone one may belong to a drone's arm
-# ns of the log that tell whether there are wrench sensors, and that tell the robot's postures.
+# ns of the log that show whether there are wrench sensors, and that show the robot's postures.
 SHORT, LONG = 1_000_000_000, 60_000_000_000
 FIRST = 5  # slices, of which one has messages of all topics
 
@@ -49,12 +49,7 @@ logger = logging.getLogger(__name__)
 def with_assumed_contacts(options: Options, robot: RobotModel, log: Log) -> Options:
     """Return options that name contacts if neither they nor a log's sensors do; log a warning.
 
-    Parameters
-    ----------
-    options : RobotOptions
-    robot : RobotModel
-    log : Log
-        Of which the first second is read, or the first minute if there is no wrench sensor.
+    The first second of the log is read, or the first minute if there is no wrench sensor.
     """
     if options.contacts or options.wrist_sensors:
         return options
@@ -78,14 +73,10 @@ def naming_contacts(options: Options, found: tuple[str, ...], source: str) -> Op
 def assumed_contacts(robot: RobotModel, log: Log) -> tuple[str, ...]:
     """Return where a floating robot without wrench sensors seems to stand, as `contact` names it.
 
-    These are the contacts about which flags tell, otherwise the ends of the legs: of all ends of
+    These are the contacts that have flags, otherwise the ends of the legs: of all ends of
     kinematic chains those that are the lowest, not necessarily at once. A contact that touches
-    nothing costs rows, but does not bias them.
-
-    Returns
-    -------
-    tuple of str
-        Empty if there are wrench sensors, no efforts, or too many contacts.
+    nothing costs rows, but does not bias them. There are none if there are wrench sensors, no
+    efforts, or too many contacts.
     """
     if not robot.floating:
         return ()

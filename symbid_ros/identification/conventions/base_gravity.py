@@ -73,7 +73,8 @@ class FoundGravity:
     def value(self) -> str:
         """The direction as a value of the option `gravity`.
 
-        Rounding errors are far below what a long log tells; coarser ones would bias the parameters.
+        Rounding errors are far below the accuracy of a long log; coarser ones would bias the
+        parameters.
         """
         return " ".join(f"{one:.{DECIMALS}f}" for one in self.direction)
 
@@ -102,15 +103,7 @@ def searches_gravity(options: RobotOptions, robot: RobotModel) -> bool:
 
 
 def find_gravity(segments: Iterable[Segment], robot: RobotModel) -> FoundGravity | None:
-    """Return the direction of gravity if the efforts of a log contradict the model's.
-
-    Parameters
-    ----------
-    segments : iterable of Segment
-        Of the log.
-    robot : RobotModel
-        With a fixed base.
-    """
+    """Return the direction of gravity if the efforts of a log contradict a fixed base's model."""
     size = float(np.linalg.norm(robot.gravity))
     if size == 0.0:
         return None

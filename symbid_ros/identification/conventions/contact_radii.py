@@ -33,14 +33,8 @@ def with_fitted_radii(
     """Return contacts with the radii that a log shows.
 
     These are a common share of those of the model, or of the legs' lengths if the model has no
-    balls. Contacts are returned as they are if all are surfaces, or the log does not show it.
-
-    Parameters
-    ----------
-    robot : RobotModel
-    contacts : tuple of str
-        ``FRAME:RADIUS`` of each ball, as in :func:`with_contacts`.
-    segments : iterable of Segment
+    balls. Contacts are returned as they are if all are surfaces, or the log does not show it. A
+    ball is ``FRAME:RADIUS``, as in :func:`with_contacts`.
     """
     sizes, stated, largest = [contact_radius(robot, one) for one in contacts], 1.0, LARGEST
     if not any(sizes):

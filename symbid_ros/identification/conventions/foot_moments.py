@@ -70,13 +70,8 @@ def find_foot_moments(segments: Iterable[Segment], robot: RobotModel) -> FootMom
     """Return which feet of a floating robot lack moments; None if the log does not show it.
 
     The distance of the forces below the frames is a common share of the balls' radii, and is
-    fitted together with inertias and friction.
-
-    Parameters
-    ----------
-    segments : iterable of Segment
-        Of which the first decides whether any foot reads forces and no moments.
-    robot : RobotModel
+    fitted together with inertias and friction. The first segment decides whether any foot reads
+    forces and no moments.
     """
     if not robot.floating:
         return None

@@ -229,12 +229,6 @@ def find_readings(segments: Iterable[Segment], robot: RobotModel) -> JointReadin
     The effort of a joint that mostly overcomes friction has the wrong sign if that friction would
     drive the joint. Efforts or positions of all joints have it if friction would drive the robot,
     and with the opposite sign takes power at every joint.
-
-    Parameters
-    ----------
-    segments : iterable of Segment
-        Of the log.
-    robot : RobotModel
     """
     log = _LogPart.of(segments, robot)
     if not 0 < len(log.moving) <= MOST_JOINTS:
@@ -268,12 +262,6 @@ def find_common_reversal(segments: Iterable[Segment], robot: RobotModel) -> Join
     """Return the readings of a log that reverses all efforts or all positions, else None.
 
     A log in which friction takes power costs a single fit: it is not searched any further.
-
-    Parameters
-    ----------
-    segments : iterable of Segment
-        Of the log.
-    robot : RobotModel
     """
     log = _LogPart.of(segments, robot)
     rows = log.rows(log.readings) if log.moving else None
@@ -282,15 +270,7 @@ def find_common_reversal(segments: Iterable[Segment], robot: RobotModel) -> Join
 
 @dataclass(frozen=True)
 class _LogPart:
-    """The first blocks of a log.
-
-    Attributes
-    ----------
-    blocks : tuple of Segment
-    robot : RobotModel
-    moving : tuple of int
-        Joints that have efforts and measured positions.
-    """
+    """The first blocks of a log, and the ``moving`` joints: those with efforts and positions."""
 
     blocks: tuple[Segment, ...]
     robot: RobotModel

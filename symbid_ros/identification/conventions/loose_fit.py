@@ -1,6 +1,6 @@
 """Fits of a model to the efforts of a log, with inertias and friction that are hardly limited.
 
-They tell which of several readings of a log is likelier, such as other directions of gravity.
+They compare the likelihood of several readings of a log, such as other directions of gravity.
 """
 
 from collections.abc import Iterable, Iterator

@@ -39,12 +39,7 @@ EVIDENCE = 50.0
 def find_missing_inertia(segments: Iterable[Segment], robot: RobotModel) -> tuple[str, ...]:
     """Return the joints whose efforts have gravity but no inertia; none if the log is too slow.
 
-    Parameters
-    ----------
-    segments : iterable of Segment
-        Of the log.
-    robot : RobotModel
-        Only a fixed base without unmeasured contacts is judged.
+    Only a robot with a fixed base and without unmeasured contacts is judged.
     """
     if robot.floating or robot.contacts is not None:
         return ()

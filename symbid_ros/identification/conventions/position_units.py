@@ -63,15 +63,7 @@ class FoundDegrees:
 
 
 def find_degrees(segments: Iterable[Segment], robot: RobotModel) -> FoundDegrees | None:
-    """Return the angles of a log if the efforts say that they are in degrees.
-
-    Parameters
-    ----------
-    segments : iterable of Segment
-        Of the log.
-    robot : RobotModel
-        With a fixed base.
-    """
+    """Return the angles of a log if the efforts of a fixed base say that they are in degrees."""
     turning = np.array([joint.kind == "revolute" for joint in robot.joints])
     blocks = list(islice(some_blocks(segments), BLOCKS))
     if robot.floating or not blocks or not turning.any():

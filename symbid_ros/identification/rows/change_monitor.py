@@ -187,7 +187,9 @@ class ChangeMonitor:
                 self.followed = None
             else:
                 self._usual.append(found.misfit)
-                self._forget_followed()
+                self._quiet = 0 if self.followed is None else self._quiet + 1
+                if self._quiet >= QUIET:
+                    self.followed = None
             return
         self._quiet = 0 if is_loud else self._quiet + 1
         if self._quiet >= QUIET:
@@ -201,11 +203,6 @@ class ChangeMonitor:
         after = self._innovation(self._before, self._after)
         if after is not None:
             self.change = Change(self._since, after.suspects(usual))
-
-    def _forget_followed(self) -> None:
-        self._quiet = 0 if self.followed is None else self._quiet + 1
-        if self._quiet >= QUIET:
-            self.followed = None
 
     def _innovation(self, before: Posterior, blocks: Sequence[BlockRows]) -> Innovation | None:
         rows = [part for block in blocks for part in block.parts if len(part.valid)]

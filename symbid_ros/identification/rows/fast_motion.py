@@ -1,6 +1,6 @@
 """Information in motion that is faster than the windows, such as vibration.
 
-Encoders and gyroscopes hardly resolve fast accelerations, but through the model the forces tell
+Encoders and gyroscopes hardly resolve fast accelerations, but through the model the forces show
 them. In a band of frequencies the residual of a row is r = K φ - y = T ε, with the noise ε of all
 channels, of covariance S. Given r, the most probable noise is S Tᴴ C⁻¹ r, C = T S Tᴴ. Without it,
 K becomes K̂, whose remaining noise is independent of r. So the score -K̂ᴴ C⁻¹ r is unbiased, although
@@ -44,7 +44,7 @@ PARTS = 4  # of a block, in at least half of which there is fast motion
 LEAST_BITS = 3.0
 # Mean square of a band's normalised score, above which it contradicts the slow motion.
 CONTRADICTION = 3.0
-# Information in posterior deviations, below which a direction tells nothing about a contradiction.
+# Information in posterior deviations, below which a direction cannot show a contradiction.
 INFORMATIVE = 0.05
 # Averages over a Hann window of N samples have 1.5/N of the variance of white noise.
 HANN = 1.5
@@ -62,11 +62,7 @@ ROUNDING, UNUSED = 1e-9, 1e6
 def with_fast_motion(solved: SolvedProblem, dataset: Dataset) -> SolvedProblem:
     """Return the solution that uses fast motion too, if the log of a floating robot contains any.
 
-    Parameters
-    ----------
-    solved : SolvedProblem
-        Of the log, with chosen joint terms.
-    dataset : Dataset
+    Joint terms are those of the given solution.
     """
     rows = tuple(_fast_rows(solved, dataset))
     if not rows:
@@ -103,7 +99,7 @@ def _solved(motion: "_FastMotion", solved: SolvedProblem, source: str) -> Solved
 
 @dataclass(frozen=True)
 class Score:
-    """What rows tell about the parameters near a point.
+    """Score function of rows: the gradient of their log likelihood near a point.
 
     Attributes
     ----------
@@ -121,7 +117,7 @@ class Score:
 
     @classmethod
     def zero(cls, count: int) -> "Score":
-        """Return what no rows tell about ``count`` parameters."""
+        """Return the score of no rows about ``count`` parameters."""
         return cls(np.zeros(count), np.zeros((count, count)), np.zeros((count, count)))
 
     def measurements(self, phi: FloatArray, scale: FloatArray) -> PseudoMeasurements:
@@ -157,7 +153,7 @@ def _consistent(scores: Sequence[Score], factor: FloatArray) -> int:
 
 
 def _together(scores: Sequence[Score]) -> Score:
-    """Return what several bands tell."""
+    """Return the score of several bands together."""
     return Score(
         np.sum([one.gradient for one in scores], axis=0),
         np.sum([one.slope for one in scores], axis=0),
@@ -187,7 +183,7 @@ class _FastMotion:
         return cls(rows, rows[0].bands, noise_variances(rows, mean, _start(rows, solved)))
 
     def scores(self, phi: FloatArray, count: int) -> list[Score]:
-        """Return what each of the lowest bands tells near parameters φ (p,)."""
+        """Return the score of each of the lowest ``count`` bands near parameters φ (p,)."""
         found = [Score.zero(len(phi)) for _ in range(count)]
         m = self.rows[0].channels.motion
         corrections = np.zeros((count, m, len(phi)))

@@ -257,13 +257,8 @@ def candidate_posterior(
 ) -> tuple[Posterior, Observations]:
     """Return the posterior with all candidates free, and the rows that it is from.
 
-    Parameters
-    ----------
-    problem : Problem
-    candidates : (p,) bool
-        Parameters that are not fixed at their prior means.
-    slips : bool
-        Whether to use only rows of slipping joints.
+    Parameters that are not ``candidates`` (p,) are fixed at their prior means. With ``slips``, only
+    rows of slipping joints are used.
     """
     prior = fixed_prior(problem.prior, candidates)
     observations = rows_of(problem.observations, slips=slips)
