@@ -199,8 +199,8 @@ def _large_offsets(
 ) -> tuple[str, ...]:
     """Return the alarm about zeros of encoders that err by far more than their prior states.
 
-    Gravity hardly tells such an error from other first moments of the links, so that the prior
-    holds it back, and the links take the rest.
+    Gravity hardly separates such an error from first moments of the links. So the prior holds it
+    back, and the links take the rest.
     """
     deviations = (value - posterior.prior.mean) / posterior.prior.std
     found = [

@@ -147,23 +147,9 @@ def _independent(
 ) -> tuple[IntArray, FloatArray, float, float]:
     """Choose independent columns block by block, each relative to all earlier blocks.
 
-    Parameters
-    ----------
-    columns : (k, k) float64
-        Columns with unit length.
-    length : (k,) float64
-        Lengths before scaling.
-    blocks : sequence of (≤ 10,) int64
-        Columns of one link or joint.
-
-    Returns
-    -------
-    chosen : (b,) int64
-        Independent columns.
-    basis : (k, b) float64
-        Orthonormal basis of their span.
-    kept, dropped : float
-        Singular values on either side of the rank decision.
+    ``columns`` (k, k) have unit length, and ``length`` (k,) before scaling. A block has the columns
+    of one link or joint. Return the independent columns (b,), an orthonormal basis (k, b) of their
+    span, and the singular values on either side of the rank decision.
     """
     chosen: list[int] = []
     basis = np.empty((len(columns), 0))

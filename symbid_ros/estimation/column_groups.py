@@ -84,15 +84,7 @@ class ColumnGroups:
         self._width = [int(np.count_nonzero(last >= i)) for i in range(n)]
 
     def whitened_moment(self, factor: FloatArray, precision: FloatArray) -> FloatArray:
-        """Return Σ [K y]ᵀ P [K y] (p + 1, p + 1).
-
-        Parameters
-        ----------
-        factor : (r, w) float64
-            Flat rows.
-        precision : (n, n) float64
-            Symmetric weight P across coordinates.
-        """
+        """Return Σ [K y]ᵀ P [K y] (p + 1, p + 1) of flat rows (r, w) and a symmetric P (n, n)."""
         # Pairs of coordinates in one order only; the others are the transposed ones.
         weight = np.triu(precision)
         weight[np.diag_indices(len(weight))] /= 2
@@ -107,18 +99,12 @@ class ColumnGroups:
             for i, (flat, own) in enumerate(zip(self._flat, self._own, strict=True)):
                 later = slice(0, self._width[i])
                 half[own, later] += rows[:, flat].T @ weighted[i, :, later]
-        return self._in_order(half + half.T)
+        moment = np.zeros((self._count, self._count))
+        moment[np.ix_(self.order, self.order)] = half + half.T
+        return moment
 
     def quadratic_moment(self, factor: FloatArray, matrix: FloatArray) -> FloatArray:
-        """Return Σ [K y] X [K y]ᵀ (n, n).
-
-        Parameters
-        ----------
-        factor : (r, w) float64
-            Flat rows.
-        matrix : (p + 1, p + 1) float64
-            Symmetric X.
-        """
+        """Return Σ [K y] X [K y]ᵀ (n, n) of flat rows (r, w) and a symmetric X (p + 1, p + 1)."""
         n = len(self._own)
         inner = matrix[np.ix_(self.order, self.order)]
         upper = np.zeros((n, n))
@@ -145,8 +131,3 @@ class ColumnGroups:
     def _columns(rows: FloatArray, group: ColumnGroup) -> FloatArray:
         """Return a group's columns (m, N, k) in each of its coordinates."""
         return np.ascontiguousarray(rows[:, group.flat].transpose(1, 0, 2))
-
-    def _in_order(self, moment: FloatArray) -> FloatArray:
-        found = np.zeros((self._count, self._count))
-        found[np.ix_(self.order, self.order)] = moment
-        return found

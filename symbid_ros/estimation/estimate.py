@@ -113,8 +113,7 @@ class Estimate:
     std : (p,) float64 or None
         Standard deviation of the estimate; None if the method gives none.
     determined : (p,) bool or None
-        Whether the data rather than the prior determine the value; None if the method cannot
-        tell.
+        Whether the data rather than the prior determine the value; None if the method gives none.
     rank : int or None
         Number of singular values used (z in the thesis); None without truncation.
     condition : float
@@ -151,7 +150,7 @@ class Estimate:
         The terms of each joint that the data asked for; its other terms in ``names`` are fixed.
         None if the user named the terms.
     remarks : tuple of str
-        What the robot or the log cannot tell about joint terms, one sentence each.
+        What the robot or the log leaves open about joint terms, one sentence each.
     wrist_sensors : tuple of str
         ``FRAME:LINK`` of each wrist force/torque sensor, with the first link beyond it; a minus
         before it marks a sensor that reads the wrench of the robot on the payload.

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.estimation.fleet_changes import DENSER, LEVEL, LinkChange, link_change
+from symbid_ros.estimation.fleet_changes import DENSER, LEVEL, MassChange, link_change
 from symbid_ros.estimation.fleet_spread import FleetFit, covariance_root, data_rows, spread_groups
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior_std import payload_std, term_scale
@@ -99,7 +99,7 @@ class FleetEstimate:
         joint term.
     deviations : tuple of Deviation
         Robots that differ, the most evident first.
-    link_changes : tuple of tuple of (LinkChange or None)
+    link_changes : tuple of tuple of (MassChange or None)
         Of each link of each robot; None if the data do not show a change of the link.
     tests : int
         Number of places of all robots that were tested: those at which a typical change would show.
@@ -114,7 +114,7 @@ class FleetEstimate:
     robots: tuple[str, ...]
     spread: dict[str, float]
     deviations: tuple[Deviation, ...]
-    link_changes: tuple[tuple[LinkChange | None, ...], ...]
+    link_changes: tuple[tuple[MassChange | None, ...], ...]
     tests: int
 
 
@@ -142,12 +142,7 @@ class _Place:
 def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> FleetEstimate:
     """Estimate common parameters and the spread between robots, and name robots that differ.
 
-    Parameters
-    ----------
-    members : sequence of FleetMember
-        At least three robots with the same prior.
-    parameters : ParameterSet
-        Columns of their posteriors.
+    There are at least three members, with the same prior and the same columns ``parameters``.
     """
     prior = members[0].posterior.prior
     L = prior.covariance_factor()
@@ -294,7 +289,7 @@ def _link_change(
     L: FloatArray,
     *,
     tests: int,
-) -> LinkChange | None:
+) -> MassChange | None:
     """Return the relative change of a link; None if a change would not show."""
     any_change, denser = factors
     assert denser is not None  # it is of every link

@@ -15,7 +15,7 @@ POWER = 0.9  # probability with which a detectable change is named
 
 
 @dataclass(frozen=True)
-class LinkChange:
+class MassChange:
     """Relative change of one robot's link whose mass is distributed as in the others.
 
     Attributes
@@ -38,7 +38,7 @@ class LinkChange:
 
 def link_change(
     score: FloatArray, information: FloatArray, denser: FloatArray, own: FloatArray, tests: int
-) -> LinkChange | None:
+) -> MassChange | None:
     """Return the change of a link; None if a typical change would not show.
 
     Parameters
@@ -59,7 +59,7 @@ def link_change(
     effect = own.T @ information @ denser[:, 0] * DENSER / weight
     std = DENSER / np.sqrt(weight)
     doubt = abs(relative) * float(np.linalg.norm(effect))
-    return LinkChange(relative, float(np.hypot(std, doubt)), std * _least_score(weight, tests))
+    return MassChange(relative, float(np.hypot(std, doubt)), std * _least_score(weight, tests))
 
 
 def _least_score(weight: float, tests: int) -> float:

@@ -79,14 +79,8 @@ class CoordinateMoments:
     def ratio(self, phi: FloatArray, counts: FloatArray, variance: float) -> float:
         """Return the variance of scores over that of independent residuals; NaN if unknown.
 
-        Parameters
-        ----------
-        phi : (c,) float64
-            Parameters of the columns.
-        counts : (GROUPS,) float64
-            Rows in each group.
-        variance : float
-            Of a residual.
+        ``phi`` (c,) are the parameters of the columns, ``counts`` (GROUPS,) the rows in each group,
+        and ``variance`` is that of a residual.
         """
         is_column = self.left < len(phi)
         left = self.left[is_column]

@@ -335,13 +335,8 @@ class Observations:
 
         It is the trace of the coordinate's part of the hat matrix (Hoaglin and Welsch 1978, Amer.
         Statist. 32(1)) over the number of its rows: 1 if parameters fit all of them exactly.
-
-        Parameters
-        ----------
-        variances : (p, p) float64
-            Covariance of the parameters.
-        covariance : (n, n) float64
-            Covariance Σ of a row's residual.
+        ``variances`` (p, p) is the covariance of the parameters, ``covariance`` (n, n) that of a
+        row's residual.
         """
         moment = self.rows.quadratic_moment(np.pad(variances, (0, 1)))
         fitted = np.sum(np.linalg.inv(covariance) * moment, axis=1)

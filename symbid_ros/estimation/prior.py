@@ -14,7 +14,7 @@ from symbid_ros.estimation.prior_std import (
     absolute_std,
     beyond_sensors,
     body_covariance,
-    consistent_std,
+    consistent_covariance,
     is_stated,
     link_floor,
     percent_floor,
@@ -223,11 +223,11 @@ def _triangular(root: FloatArray) -> FloatArray:
     return factor
 
 
-def _of_model(parameters: ParameterSet, kind: str, mean: FloatArray, std: FloatArray) -> Prior:
-    names = parameters.names
+def _of_model(parameters: ParameterSet, kind: str, std: FloatArray) -> Prior:
+    """Return a prior around the model file's values."""
+    model, names, mean = parameters.model.name, parameters.names, parameters.values
     payloads = tuple(name for own in beyond_sensors(parameters) for name in names[own])
     terms = names[parameters.inertial :]
-    model = parameters.model.name
     return Prior(model, kind, None, names, mean, std, assumed=terms, payloads=payloads)
 
 
@@ -242,9 +242,8 @@ def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> P
         When ``percent`` is not positive.
     """
     _check_amount(percent)
-    mean, kind = parameters.values, f"model, percent {percent:g}"
-    std = percent_std(parameters, mean, percent)
-    return _of_model(parameters, kind, mean, std)
+    std = percent_std(parameters, parameters.values, percent)
+    return _of_model(parameters, f"model, percent {percent:g}", std)
 
 
 def consistent_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
@@ -282,8 +281,8 @@ def default_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) ->
     as a motor in a thin leg, which moves centres of mass beside the file's axis and tilts principal
     axes. The covariances add up, because each alone is far too certain of a file with another kind
     of error: a wrong mass beside a right inertia contradicts the first kind, and a product of
-    inertia that the file puts at zero the second. The data tell the size of the error of bodies, of
-    single parameters and of missing parts, see
+    inertia that the file puts at zero the second. The data scale the errors of bodies, of single
+    parameters and of missing parts, see
     :func:`~symbid_ros.estimation.posterior.posterior`.
 
     Raises
@@ -339,9 +338,7 @@ def absolute_model_prior(parameters: ParameterSet, amount: float) -> Prior:
         When ``amount`` is not positive.
     """
     _check_amount(amount)
-    mean, kind = parameters.values, f"model, absolute {amount:g}"
-    std = absolute_std(parameters, amount)
-    return _of_model(parameters, kind, mean, std)
+    return _of_model(parameters, f"model, absolute {amount:g}", absolute_std(parameters, amount))
 
 
 def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -> Prior:
@@ -464,4 +461,5 @@ def _consistent(
     turn = turn * np.sign(np.diag(upper))
     S = turn @ np.diag(1 + rng.uniform(-half_width, half_width, 4)) @ turn.T
     drawn = root @ S @ root.T
-    return phi_from_pseudo_inertia(drawn), consistent_std(root, half_width)
+    std: FloatArray = np.sqrt(np.diag(consistent_covariance(root, half_width)))
+    return phi_from_pseudo_inertia(drawn), std

@@ -35,16 +35,19 @@ _BARE_MASS, _BARE_EXTENT = 1.0, 0.1
 def percent_std(parameters: ParameterSet, mean: FloatArray, percent: float) -> FloatArray:
     """Return the deviation of a uniform ± percent, with a positive floor for zero values."""
     uniform = percent / 100 * np.abs(mean) / np.sqrt(3)
-    std: FloatArray = np.maximum(uniform, percent_floor(parameters, percent))
-    joints = slice(parameters.inertial, None)
-    std[joints] = np.where(is_stated(parameters)[joints], std[joints], term_scale(parameters))
-    _widen_beyond_sensors(std, parameters)
-    return std
+    return _with_defaults(np.maximum(uniform, percent_floor(parameters, percent)), parameters)
 
 
 def absolute_std(parameters: ParameterSet, amount: float) -> FloatArray:
     """Return the deviation of a uniform ± amount for the values that the file gives."""
-    std = np.full(len(parameters), amount / np.sqrt(3))
+    return _with_defaults(np.full(len(parameters), amount / np.sqrt(3)), parameters)
+
+
+def _with_defaults(std: FloatArray, parameters: ParameterSet) -> FloatArray:
+    """Return deviations (p,) with the defaults of joint terms that the file does not give.
+
+    Those of links beyond wrist sensors allow for any payload.
+    """
     joints = slice(parameters.inertial, None)
     std[joints] = np.where(is_stated(parameters)[joints], std[joints], term_scale(parameters))
     _widen_beyond_sensors(std, parameters)
@@ -64,12 +67,6 @@ def beyond_sensors(parameters: ParameterSet) -> tuple[slice, ...]:
     links = parameters.links.tolist()
     firsts = [10 * links.index(place.stop) for place in parameters.model.wrist_sensors.values()]
     return tuple(slice(first, first + 10) for first in firsts)
-
-
-def consistent_std(root: FloatArray, half_width: float) -> FloatArray:
-    """Return the deviations (10,) of φ under J → L S Lᵀ, see :func:`consistent_covariance`."""
-    std: FloatArray = np.sqrt(np.diag(consistent_covariance(root, half_width)))
-    return std
 
 
 def consistent_covariance(root: FloatArray, half_width: float) -> FloatArray:
@@ -97,10 +94,7 @@ def link_floor(parameters: ParameterSet, percent: float) -> FloatArray:
 
 
 def body_std(phi: FloatArray, percent: float) -> FloatArray:
-    """Return the deviations (10,) of a link φ of which every moment is uniform ± percent.
-
-    Those of :func:`consistent_std`; a link that no body has is projected onto one.
-    """
+    """Return the deviations (10,) that :func:`body_covariance` gives."""
     std: FloatArray = np.sqrt(np.diag(body_covariance(phi, percent)))
     return std
 

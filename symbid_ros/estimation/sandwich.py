@@ -10,8 +10,8 @@ There are fewer blocks than parameters, so Var s as a matrix would be singular. 
 coordinate i has one factor d_i on the variance of its residuals, from 1. With the correlation
 matrix of Σ = S C S and its eigenvectors v_k, the combination k of residuals gets the mean factor
 Σ_i v_ki² d_i. Combinations of strongly correlated coordinates thus keep their small variance. The
-weights stay those of Σ: a covariance for long times as a weight would discard what fast motion
-tells.
+weights stay those of Σ: a covariance for long times as a weight would discard the information of
+fast motion.
 """
 
 from dataclasses import replace
@@ -24,14 +24,7 @@ from symbid_ros.estimation.posterior import Posterior
 
 
 def with_correlated_residuals(found: Posterior, observations: Observations) -> Posterior:
-    """Return a posterior whose covariance allows for residuals that are correlated in time.
-
-    Parameters
-    ----------
-    found : Posterior
-        Of these observations.
-    observations : Observations
-    """
+    """Return the posterior of these observations with a covariance for correlated residuals."""
     factors = correlation_factors(found, observations)
     if np.all(factors == 1.0):
         return found

@@ -22,7 +22,7 @@ from symbid_ros.model.warming import Warming
 
 # Log Bayes factor from which the evidence alone supports an armature.
 SUPPORTED = 2.0
-# Correlation from which two terms of a joint cannot be told apart.
+# Correlation from which two terms of a joint are inseparable.
 INSEPARABLE = 0.995
 # Smallest share of a joint's information that is left when a group of rows is left out.
 LEAST_LEFT = 1e-3
@@ -115,7 +115,7 @@ class CandidateTerms:
     def hidden_offsets(self) -> BoolArray:
         """Return which terms are offsets that would be known far better if the links were.
 
-        In the rows of their joint alone, inertias replace them; the other rows tell them apart.
+        In the rows of their joint alone, inertias replace them; the other rows separate both.
         """
         return np.asarray((self._kinds == "offset") & self._depends_on_links)
 
@@ -135,7 +135,7 @@ class CandidateTerms:
         return np.asarray(self.armatures & is_known & ~self.ambiguous())
 
     def unresolved(self) -> BoolArray:
-        """Return which terms are armatures that the data cannot tell from the links' inertias."""
+        """Return which terms are armatures that the data do not separate from inertias of links."""
         std = np.sqrt(self._covariance.diagonal())
         return np.asarray(self.mixed() & (std > UNRESOLVED * self._prior.std[self._terms]))
 

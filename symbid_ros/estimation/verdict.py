@@ -162,7 +162,7 @@ class Verdict:
 
         Beside drive gains another line says where the scale comes from, and beside the alarm of a
         weighing that alarm does. The efforts of a robot with a fixed base do not carry all of it,
-        so that its total mass tells nothing about them.
+        so that its total mass does not check them.
         """
         if not self.has_open_scale or self.describe_drive_gains():
             return ""

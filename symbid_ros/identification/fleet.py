@@ -35,7 +35,7 @@ def fleet_of_results(folders: Sequence[Path]) -> FleetEstimate:
         When there are fewer than three results, or a result is invalid or of another type of robot.
     """
     names = [folder.resolve().name for folder in folders]
-    # Of two robots, nobody can tell which one has changed.
+    # With two robots, either may be the one that has changed.
     if len(set(names)) < max(len(names), FEWEST):
         raise EstimateError(
             f"a fleet needs the results of at least {FEWEST} robots, in folders with different "

@@ -47,7 +47,7 @@ class LinkChange:
     principal_inertia_kg_m2 : Change
         Principal moments about the centre of mass, the smallest first.
     determined : int or None
-        How many of the ten parameters the data determine; None if the method cannot tell.
+        How many of the ten parameters the data determine; None if the method gives none.
     """
 
     name: str

@@ -25,7 +25,7 @@ from symbid_ros.signals.segments import Segment
 logger = logging.getLogger(__name__)
 
 MINUTE = 60_000_000_000  # ns
-FIRST_PART = 4_000_000_000  # ns, whose joint states tell which joints the log has
+FIRST_PART = 4_000_000_000  # ns, whose joint states show which joints the log has
 # Joints that a log lacks, from which on they count as rigid. Fewer, such as those of a gripper's
 # fingers, cost little time, and their links keep parameters of their own.
 MANY = 8

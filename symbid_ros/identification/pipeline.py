@@ -7,7 +7,11 @@ from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate import HoldOut
-from symbid_ros.identification.causes.gain_check import Trial, wrist_sensor_alarms, wrong_factors
+from symbid_ros.identification.causes.gain_check import (
+    CheckedIdentification,
+    wrist_sensor_alarms,
+    wrong_factors,
+)
 from symbid_ros.identification.causes.joint_alarms import with_explained_alarms
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
@@ -112,12 +116,14 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
     return problem, found
 
 
-def _tried(problem: LoadedProblem, begin: int) -> Trial:
+def _tried(problem: LoadedProblem, begin: int) -> CheckedIdentification:
     found = problem.solve()
-    return Trial(problem, found, *hold_out(problem, found.window, begin))
+    return CheckedIdentification(problem, found, *hold_out(problem, found.window, begin))
 
 
-def _with_kept_prior(problem: LoadedProblem, before: HoldOut, begin: int) -> Trial | None:
+def _with_kept_prior(
+    problem: LoadedProblem, before: HoldOut, begin: int
+) -> CheckedIdentification | None:
     """Identify with the stated prior; None unless that predicts the end of the log better."""
     kept = problem.with_prior(problem.prior, replace(problem.options, keep_prior=True))
     try:

@@ -73,7 +73,7 @@ class Problem:
     term_deviations : (p + s, k) float64 or None
         N: other sets of joint terms that explain the data as well add the covariance N Nᵀ.
     remarks : tuple of str
-        What the log cannot tell about the scale of efforts.
+        What the log leaves open about the scale of efforts.
     alarms : tuple of str
         What contradicts the model besides the rows.
     force_scale_std : float or None

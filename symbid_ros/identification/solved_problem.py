@@ -101,8 +101,8 @@ class SolvedProblem:
     ) -> "SolvedProblem":
         """Solve one window length to a hundredth of a standard deviation, from a near start.
 
-        ``is_coupled`` tells whether to weight rows by covariances between coordinates, if an
-        earlier solution from nearly the same data has tested it.
+        ``is_coupled`` says whether rows are weighted by covariances between coordinates, as tested
+        by an earlier solution from nearly the same data; None tests it here.
         """
         if is_coupled is None:
             found, chosen = _solve(problem, chosen, start, COMPARABLE, approximate=True)
@@ -160,7 +160,7 @@ class SolvedProblem:
         )
 
     def _mass_alarms(self, value: FloatArray) -> tuple[str, ...]:
-        """Return the alarms about the total mass, which a weighing would tell."""
+        """Return the alarms about the total mass, unless the robot was weighed."""
         if self._weighing_std > 0:
             return ()
         masses = slice(0, self.problem.parameters.inertial, 10)
@@ -249,7 +249,7 @@ class SolvedProblem:
 
         It is zero for others. The deviation of an undetermined parameter is the prior's, which is
         too small if the data or limits of possible links move the parameter by many of these: a
-        link with a large first moment needs a mass, of which the data may tell nothing else.
+        link with a large first moment needs a mass, about which the data may show nothing else.
         """
         found, p = self.posterior, len(self.problem.parameters)
         change = np.abs(value - found.prior.mean)[:p]
@@ -437,7 +437,7 @@ class SolvedProblem:
             fixed[parameters.sensor_offsets] = False
             value = np.concatenate([np.where(fixed, prior.mean[:p], value[:p]), value[p:]])
             std = np.where(fixed, 0.0, std)
-        # The same holds of links of which the log tells nothing, to the solver's tolerance.
+        # The same holds of links that the log does not show, to the solver's tolerance.
         moved = np.abs(value[:p] - prior.mean[:p])[: parameters.inertial].reshape(-1, 10)
         is_moved = np.any(moved > UNMOVED * before[: parameters.inertial].reshape(-1, 10), axis=1)
         same = np.append(np.repeat(~is_moved, 10), np.zeros(len(value) - parameters.inertial, bool))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from symbid_ros.estimation.fleet import FleetEstimate
-from symbid_ros.estimation.fleet_changes import LinkChange
+from symbid_ros.estimation.fleet_changes import MassChange
 from symbid_ros.identification.fleet import (
     describe_deviation,
     detectable_changes,
@@ -94,7 +94,7 @@ def change_table(found: FleetEstimate) -> tuple[tuple[str, ...], list[tuple[str,
     return ("link", *robots), list(zip(links, by_link, strict=True))
 
 
-def _change(one: LinkChange | None) -> str:
+def _change(one: MassChange | None) -> str:
     if one is None or not one.is_shown:
         return ABSENT
     change = round(100 * one.relative, 1) + 0.0  # without the sign of a rounded zero

@@ -34,7 +34,7 @@ SPREAD = 1.0
 # Weight of calibrated joints in the common factor, as the share of a joint's effort that the links
 # explain: they decide where these explain next to nothing.
 CALIBRATED = 0.1
-# Number of joints whose efforts the links must explain for first guesses to tell a common scale.
+# Number of joints whose efforts the links must explain for first guesses of a common scale.
 LEAST_EXPLAINED = 1.0
 # Combinations of loads and offsets of wrist sensors that change the readings by less than this
 # share of others are left as they are.
@@ -58,8 +58,7 @@ class InitialFactors:
         Those whose sign the log does not show; it is taken as positive.
     tell_scale : bool
         Whether the guesses determine the common scale. They do not if other joints are calibrated
-        and
-        the links explain next to nothing of these efforts, or if the prior holds it.
+        and the links explain next to nothing of these efforts, or if the prior holds it.
     spread : float
         Standard deviation of a factor, relative to its first guess.
     """

@@ -38,7 +38,7 @@ from symbid_ros.signals.weak_form import Average, AveragingRows, equation_rows
 # Identifications with given gains, and linearised steps after each.
 ROUNDS, STEPS = 3, 8
 # Deviation of the terms of a drive with an unknown gain at least, in their values: their prior,
-# which suits the size of the efforts, does not tell the gain.
+# which suits the size of the efforts, does not determine the gain.
 FREE = 10.0
 # Largest change of a gain's logarithm in one step, and the one at which steps stop.
 LARGEST_STEP, CONVERGED = 1.0, 1e-3
@@ -202,7 +202,7 @@ class _Gains:
         ----------
         problem : Problem
             With the columns of all candidates: terms at a value of the model file, which may be a
-            placeholder, do not tell the scale.
+            placeholder, do not determine the scale.
         rows : Observations
             Of the log, linearised about the first guesses.
         phi : (p,) float64

@@ -3,12 +3,12 @@
 While two soles rest on the floor, the pose of one relative to the other is constant, and so is the
 pose of each in the world if that of the base is measured, as by motion capture. What the encoders
 and the model say of it varies if lengths, axes or offsets are wrong. These rows contain no force,
-so that they tell the geometry apart from inertias. The constant pose itself is unknown.
+so that they separate the geometry from inertias. The constant pose itself is unknown.
 
 Soles and floors yield a little under the load, which shifts from foot to foot with the posture and
 so resembles wrong lengths. Their compliance is estimated and eliminated.
 
-A measured pose also tells the common scale of all lengths. How the tracked frame is fixed to its
+A measured pose also gives the common scale of all lengths. How the tracked frame is fixed to its
 link, and how late the poses are, are unknown too. These unknowns are eliminated.
 """
 
@@ -194,7 +194,7 @@ def contradicted_geometry(stances: RestingSoles, model: RobotModel) -> str:
     """Return the alarm that soles at rest contradict the model's lengths; empty if they do not.
 
     Encoder offsets alone are compared with offsets and displaced joints. Predictions of forces
-    hardly tell the two apart, because inertias and gains imitate wrong lengths.
+    hardly separate the two, because inertias and gains imitate wrong lengths.
     """
     if not stances.pairs:
         return ""

@@ -208,7 +208,7 @@ def _advice(changes: Mapping[str, ErrorChange], worse: Collection[str]) -> Advic
 
 
 def _deciding(found: Validation, changes: Mapping[str, ErrorChange]) -> list[str]:
-    """Return which errors tell a reader why the advice was chosen, the main one among them."""
+    """Return which errors explain the advice, the main one among them."""
     main = found.main.name
     smaller = [name for name, change in changes.items() if change.is_decrease]
     larger = [name for name, change in changes.items() if change.is_increase]

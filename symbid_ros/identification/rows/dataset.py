@@ -214,8 +214,8 @@ def observe(
     """Fold the windowed rows of aligned segments, for each window length.
 
     Each segment adds rows for the window lengths that suit its rate; others may stay empty.
-    ``candidates`` tells whether the rows are those of candidate terms, ``full_rate`` whether every
-    sample has a row before averaging, and ``jobs`` how many threads build and fold rows. ``first``
+    With ``candidates``, the rows have the columns of candidate terms; with ``full_rate``, every
+    sample has a row before averaging. ``jobs`` threads build and fold rows. ``first``
     is the first stamp of the log, ns, by default that of the first segment.
     """
     empty = {

@@ -8,7 +8,7 @@ is chosen if
 - it predicts rows of its joint that were left out, by groups of seconds, better than the other
   terms do alone.
 
-Some armatures resemble the inertias of the links, so that a log does not tell them apart. These are
+Some armatures resemble the inertias of the links, so that a log does not separate them. These are
 free if most of the other drives have an armature, and zero otherwise.
 
 A sticking joint obeys no friction law. If any joint has Coulomb or Stribeck friction, only rows of
@@ -69,7 +69,7 @@ class TermChoice:
     measured : (d,) bool
         Driven joints that have rows. The terms of the others stay as the model file states them.
     remarks : tuple of str
-        What this robot or log cannot tell, one sentence each: parameters that act alike, joints
+        What this robot or log leaves open, one sentence each: parameters that act alike, joints
         that hardly moved.
     slips : bool
         Whether only rows of slipping joints are used.
@@ -288,7 +288,7 @@ class _Selection:
     ----------
     free : (p,) bool
     inseparable : tuple of tuple of int
-        Pairs of terms that the data do not tell apart.
+        Pairs of terms that the data do not separate.
     found : Posterior
         With all candidates free.
     rows : Observations

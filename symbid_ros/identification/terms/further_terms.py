@@ -31,10 +31,10 @@ logger = logging.getLogger(__name__)
 
 # Joints of a robot above which couplings are not searched for: the candidates would be too many.
 MOST_JOINTS = 10
-# Shorter logs, without their pauses, do not tell a drive that warms up from other effects, ns.
+# Shorter logs, ns without their pauses, do not separate a drive that warms up from other effects.
 LEAST_WARMING = 50_000_000_000
 # Shares of the square error of left-out rows of its joint that a change must remove. The drives of
-# a robot warm up together: if one does, any improvement tells that the grease of another does.
+# a robot warm up together: if one does, any improvement is evidence for another.
 LEAST_GAINS: tuple[tuple[float, tuple[Term, ...]], ...] = (
     (0.5, WARMING_TERMS),
     (0.0, ("viscous",)),
@@ -126,7 +126,7 @@ def neighbours(parameters: ParameterSet) -> tuple[Coupling, ...]:
 
 
 def is_too_short(courses: Iterable[Course]) -> bool:
-    """Return whether parts of a log, without the pauses, do not tell whether drives warm up."""
+    """Return whether parts of a log, without the pauses, are too short to see drives warm up."""
     return sum(stop - start for start, stop in courses) < LEAST_WARMING
 
 

@@ -1,4 +1,4 @@
-"""What a robot or a log cannot tell about joint terms, one sentence each."""
+"""Remarks on what a robot or a log leaves open about joint terms, one sentence each."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -69,7 +69,7 @@ def resting_remarks(
 ) -> tuple[str, ...]:
     """Return a sentence about the joints (d,) whose friction cannot be judged, for each unit.
 
-    ``slips`` tells whether only rows of slipping joints are used.
+    With ``slips``, only rows of slipping joints are used.
     """
     if slipping is None:
         return ()

@@ -1,6 +1,6 @@
 """Finds torques that repeat in a turn of a joint, when the joints' terms leave residuals.
 
-For each revolute joint and each number of periods, a score test tells how much the squared
+For each revolute joint and each number of periods, a score test gives by how much the squared
 residuals would fall with the two columns of such a torque, all other parameters adjusted. The best
 number of each joint is a candidate, and those that improve the prediction of rows that are left out
 are added. A joint that passes over its angles only once or twice is skipped, because any slow
