@@ -269,8 +269,7 @@ def prior_after_change(
     """Return the prior of a robot of which some links have changed.
 
     The other links are as they were known before the change, but with less weight of the data. The
-    changed ones are relaxed as in :func:`relaxed_prior`. Joint terms are as before all
-    rows.
+    changed ones are relaxed as in :func:`relaxed_prior`. Joint terms are as before all rows.
 
     Parameters
     ----------

@@ -59,12 +59,8 @@ class EffortColumns:
     def beside(self, rows: Observations, phi: FloatArray) -> Observations:
         """Return rows K φ = u with the factors, which are about one, as further unknowns.
 
-        Parameters
-        ----------
-        rows : Observations
-            Without columns of the efforts; all forces are efforts.
-        phi : (p,) float64
-            The parameters about which the rows are linearised.
+        The given rows have no columns of efforts, and all forces are efforts. They are linearised
+        about the parameters ``phi`` (p,).
         """
         combinations = self._combinations(np.ones(self.count), phi)
         for index, columns in enumerate(self.layout.columns):

@@ -31,13 +31,7 @@ _Cost = tuple[float, FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class PriorEvidence:
-    """Rows A x = b of some parameters x, in prior deviations, with independent unit noise.
-
-    Attributes
-    ----------
-    A : (r, count) float64
-    b : (r,) float64
-    """
+    """Rows A x = b (r,) of parameters x in prior deviations, with independent unit noise."""
 
     A: FloatArray
     b: FloatArray

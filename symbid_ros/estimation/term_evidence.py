@@ -158,14 +158,8 @@ def have_common_lead(found: Posterior, leads: IntArray, coulomb: IntArray) -> bo
 
     A simulator's friction leads at every joint. Single drives that seem to lead are errors of
     their model: in eight logs of real arms this share added 14 to the log-likelihood at most, and
-    thousands in those of a simulated quadruped.
-
-    Parameters
-    ----------
-    found : Posterior
-        With all these terms free.
-    leads, coulomb : (k,) int
-        Parameters of the same drives.
+    thousands in those of a simulated quadruped. All these terms are free in ``found``; ``leads``
+    and ``coulomb`` (k,) are the parameters of the same drives.
     """
     factor = found.deviation_factor[leads]
     friction = np.maximum(found.mean[coulomb], 0.0)

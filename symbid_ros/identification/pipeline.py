@@ -8,7 +8,7 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.causes.gain_check import (
-    CheckedIdentification,
+    CheckedTrial,
     wrist_sensor_alarms,
     wrong_factors,
 )
@@ -116,14 +116,12 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
     return problem, found
 
 
-def _tried(problem: LoadedProblem, begin: int) -> CheckedIdentification:
+def _tried(problem: LoadedProblem, begin: int) -> CheckedTrial:
     found = problem.solve()
-    return CheckedIdentification(problem, found, *hold_out(problem, found.window, begin))
+    return CheckedTrial(problem, found, *hold_out(problem, found.window, begin))
 
 
-def _with_kept_prior(
-    problem: LoadedProblem, before: HoldOut, begin: int
-) -> CheckedIdentification | None:
+def _with_kept_prior(problem: LoadedProblem, before: HoldOut, begin: int) -> CheckedTrial | None:
     """Identify with the stated prior; None unless that predicts the end of the log better."""
     kept = problem.with_prior(problem.prior, replace(problem.options, keep_prior=True))
     try:

@@ -10,7 +10,7 @@ import symbid_ros as sy
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.causes.gain_check import CheckedIdentification, wrong_factors
+from symbid_ros.identification.causes.gain_check import CheckedTrial, wrong_factors
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.predictions.holdout import hold_out
@@ -273,7 +273,7 @@ def test_a_missing_tool_is_no_factor_of_all_efforts(carrying):
     def by_chance(other):
         found = other.solve()
         tried.append([one.value for one in found.estimate.verdict.sensors])
-        return CheckedIdentification(other, found, replace(checked, percent_after=0.5), None)
+        return CheckedTrial(other, found, replace(checked, percent_after=0.5), None)
 
     assert wrong_factors(problem, checked, by_chance) is None
     assert not tried  # there is nothing to explain

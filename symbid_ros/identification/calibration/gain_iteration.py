@@ -46,14 +46,7 @@ LARGEST_STEP, CONVERGED = 1.0, 1e-3
 
 @dataclass(frozen=True)
 class EffortRows(AveragingRows):
-    """Builds rows K φ - u k = w, in which the efforts of some joints are columns.
-
-    Attributes
-    ----------
-    parameters : ParameterSet
-    joints : (r,) int
-        Joints whose efforts u are columns, after those of the parameters.
-    """
+    """Builds rows K φ - u k = w, in which the efforts u of ``joints`` (r,) are the last columns."""
 
     parameters: ParameterSet
     joints: IntArray
@@ -101,16 +94,9 @@ def identify_gains(
 ) -> Problem:
     """Return a problem with drive gains as unknowns, linearised about the best estimate.
 
-    Parameters
-    ----------
-    problem : Problem
-        Without gains; its observations are not used.
-    dataset : Dataset
-        The log.
-    factors : InitialFactors
-        First guesses of the gains.
-    solve : callable
-        Solves a problem whose gains are known, and chooses its joint terms if they are candidates.
+    The given problem has no gains, and its observations are not used. ``factors`` are first guesses
+    of the gains. ``solve`` solves a problem whose gains are known, and chooses its joint terms if
+    they are candidates.
     """
     parameters = problem.parameters
     segment = next(iter(dataset.segments))
@@ -198,15 +184,9 @@ class _Gains:
     def with_scale(self, problem: Problem, rows: Observations, phi: FloatArray) -> "_Gains":
         """Return the same, with the common scale held if a log leaves it open.
 
-        Parameters
-        ----------
-        problem : Problem
-            With the columns of all candidates: terms at a value of the model file, which may be a
-            placeholder, do not determine the scale.
-        rows : Observations
-            Of the log, linearised about the first guesses.
-        phi : (p,) float64
-            The parameters with these.
+        The problem has the columns of all candidates: terms at a value of the model file, which may
+        be a placeholder, do not determine the scale. Rows are linearised about the first guesses
+        and the parameters ``phi`` (p,) with these.
         """
         count = len(phi)
         some = self.added(problem, self.guess)

@@ -363,12 +363,8 @@ class _Geometry:
 def _yielding(wrenches: FloatArray, relative: Rotation, lever: FloatArray) -> FloatArray:
     """Return how the second sole's pose in the first changes if soles yield, (N, 6, 6).
 
-    Parameters
-    ----------
-    wrenches : (N, 2, 6) float64
-        On both soles, each in its own axes.
-    relative, lever : Rotation, (N, 3) float64
-        The second sole in the first.
+    Wrenches (N, 2, 6) act on both soles, each in its own axes. ``relative`` and ``lever`` (N, 3)
+    are rotation and position of the second sole in the first.
     """
     first = wrenches[:, 0].reshape(-1, 2, 3)
     second = np.stack([relative.apply(wrenches[:, 1, k : k + 3]) for k in (0, 3)], axis=1)
@@ -385,13 +381,9 @@ def _in_world(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the pose (N, 6) of a sole in the world, and its slopes (N, 6, 7 + r).
 
-    Parameters
-    ----------
-    stance : TrackedStance
-    seen : tuple
-        Rotation, origin and slopes of the sole in the tracked frame of the model.
-    others : (7,) float64
-        Rotation vector and position of the model's frame in the one that is tracked, and the delay.
+    ``seen`` has rotation, origin and slopes of the sole in the tracked frame of the model, and
+    ``others`` (7,) rotation vector and position of that frame in the one that is tracked, and the
+    delay.
     """
     relative, lever, slopes = seen
     fixed = Rotation.from_rotvec(others[:3])

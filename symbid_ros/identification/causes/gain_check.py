@@ -59,7 +59,7 @@ LARGEST, HALVED = 3.0, 0.5
 ALIKE = 0.99
 
 
-class CheckedIdentification(NamedTuple):
+class CheckedTrial(NamedTuple):
     """An identification of a log, with its check on the end of the log and the forces there."""
 
     problem: LoadedProblem
@@ -75,7 +75,7 @@ class WrongFactors:
     Attributes
     ----------
     alarm : str
-    trial : CheckedIdentification or None
+    trial : CheckedTrial or None
         The identification in which these factors are unknowns; None if it explains too little.
     is_settled : bool
         Whether factors near 1 of all joints are no alternative: the other joints' factors are so
@@ -83,7 +83,7 @@ class WrongFactors:
     """
 
     alarm: str
-    trial: CheckedIdentification | None
+    trial: CheckedTrial | None
     is_settled: bool = False
 
 
@@ -99,9 +99,7 @@ class _Unlike(NamedTuple):
 
 
 def wrong_factors(
-    problem: LoadedProblem,
-    checked: HoldOut,
-    tried: Callable[[LoadedProblem], CheckedIdentification],
+    problem: LoadedProblem, checked: HoldOut, tried: Callable[[LoadedProblem], CheckedTrial]
 ) -> WrongFactors | None:
     """Return which efforts' factors explain a log better; None if none do.
 
@@ -125,7 +123,7 @@ def wrong_factors(
 
     def trial_with(
         joints: tuple[str, ...], most: float, percent: float | None = None
-    ) -> CheckedIdentification | None:
+    ) -> CheckedTrial | None:
         """Return an identification with factors of joints, if it errs by at most ``most``, %."""
         try:
             trial = tried(problem.with_drive_gains(joints, percent))
@@ -163,9 +161,7 @@ def _are_near_and_unlike(factors: Sequence[float]) -> bool:
 
 
 def _of_unlike_joints(
-    every: CheckedIdentification,
-    before: float,
-    trial_with: Callable[..., CheckedIdentification | None],
+    every: CheckedTrial, before: float, trial_with: Callable[..., CheckedTrial | None]
 ) -> WrongFactors | None:
     """Return the joints whose efforts have other factors than those of most joints, if any.
 
@@ -202,12 +198,12 @@ def _of_unlike_joints(
     )
 
 
-def _percent(trial: CheckedIdentification) -> float:
+def _percent(trial: CheckedTrial) -> float:
     """Return the held-out error of a trial that has one, %."""
     return trial.checked.percent_after or 0.0
 
 
-def _halves(trial: CheckedIdentification | None, before: float) -> bool:
+def _halves(trial: CheckedTrial | None, before: float) -> bool:
     """Return whether a trial errs by so little that its factors are beyond doubt."""
     return trial is not None and _percent(trial) <= HALVED * before
 
@@ -223,7 +219,7 @@ def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str
     )
 
 
-def _open_alarm(every: CheckedIdentification, before: float) -> str:
+def _open_alarm(every: CheckedTrial, before: float) -> str:
     return (
         f"{Alarm.WRONG_FACTORS}: those of the joints differ more than torque constants err, as "
         f"those of currents do (reading over torque: {_named_factors(every)}); with these, the "
@@ -234,11 +230,11 @@ def _open_alarm(every: CheckedIdentification, before: float) -> str:
     )
 
 
-def _named_factors(trial: CheckedIdentification) -> str:
+def _named_factors(trial: CheckedTrial) -> str:
     return ", ".join(f"{joint} {factor:.2g}" for joint, factor in _factors_of(trial).items())
 
 
-def _near_alarm(near: CheckedIdentification, before: float) -> str:
+def _near_alarm(near: CheckedTrial, before: float) -> str:
     return (
         f"{Alarm.UNCERTAIN_FACTORS} (reading over torque: {_named_factors(near)}); with these, the "
         f"error at the end of the log is {_percent(near):.2g} % instead of {before:.2g} %; check "
@@ -329,7 +325,7 @@ def wrist_sensor_alarms(problem: LoadedProblem) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _factors_of(trial: CheckedIdentification) -> dict[str, float]:
+def _factors_of(trial: CheckedTrial) -> dict[str, float]:
     """Return the joints whose factors are unknowns, with reading over torque."""
     solved = trial.problem.solved
     gains = solved.posterior.mean[len(solved.problem.parameters) :]

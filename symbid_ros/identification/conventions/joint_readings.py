@@ -127,14 +127,17 @@ class JointReadings:
     @property
     def are_positions_right(self) -> bool:
         """Whether efforts alone are reversed, and none exchanged, if any reading is wrong."""
-        is_exchanged = (self.order != self._own) | (self.effort_order != self._own)
-        return not (is_exchanged.any() or self.reversed_joints)
+        return not (self._is_exchanged.any() or self.reversed_joints)
 
     @property
     def changed(self) -> int:
         """Number of joints whose readings are changed."""
-        is_changed = (self.order != self._own) | (self.effort_order != self._own)
-        return int(np.sum(is_changed | (self.position < 0) | (self.effort < 0)))
+        return int(np.sum(self._is_exchanged | (self.position < 0) | (self.effort < 0)))
+
+    @property
+    def _is_exchanged(self) -> BoolArray:
+        """(J,) joints with the position or the effort of another joint."""
+        return np.asarray((self.order != self._own) | (self.effort_order != self._own))
 
     def applied_to(self, segment: Segment) -> Segment:
         """Return a segment with the joints' own readings."""

@@ -133,12 +133,9 @@ def _passes(segments: Iterable[Segment], window: float) -> FloatArray:
 def _explained_shares(moment: FloatArray, deviations: FloatArray) -> FloatArray:
     """Return the share of the square residuals that each number of periods explains.
 
-    Parameters
-    ----------
-    moment : (k + m + 1, k + m + 1) float64
-        Of the k known columns, sines and cosines of all numbers of periods, and the residuals.
-    deviations : (k, k) float64
-        Factor of the covariance of the k unknowns.
+    The moment (k + m + 1, k + m + 1) is that of the k known columns, sines and cosines of all
+    numbers of periods, and the residuals. ``deviations`` (k, k) is a factor of the covariance of
+    the k unknowns.
     """
     known = len(deviations)
     total = float(moment[-1, -1])
