@@ -15,7 +15,7 @@ Dask = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Address of a Dask scheduler, whose workers do the work, such as tcp://10.0.0.5:8786.",
+        help="Address of a Dask scheduler, such as tcp://10.0.0.5:8786; its workers run the tasks.",
         show_default=False,
     ),
 ]

@@ -57,15 +57,15 @@ def demo(
         bool,
         typer.Option(
             "--learn",
-            help="Let a robot with a wrong model learn its own while it balances, beside one that "
-            "does not: in simulated time, without ROS.",
+            help="Two robots balance with the same wrong model, and one of them identifies its "
+            "own: in simulated time, without ROS.",
         ),
     ] = False,
     payload: Annotated[
         bool,
         typer.Option(
             "--payload",
-            help="With --learn: attach 5 kg to a thigh while the robots move, and remove them.",
+            help="With --learn: attach 5 kg to a thigh during the motion, and remove them later.",
         ),
     ] = False,
     port: WebPort = 8377,

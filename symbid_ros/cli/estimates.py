@@ -164,7 +164,7 @@ def evaluate(
 ) -> None:
     """Compute the errors of an estimate or a prior from the ground truth of a simulated bag.
 
-    Joints with Coulomb friction do not count in errors of forces while they may stick.
+    Errors of forces exclude joints with Coulomb friction while they may stick.
     """
     from symbid_ros.cli.tables import errors_table
     from symbid_ros.identification.calibration.rigid_sensors import RigidSensors

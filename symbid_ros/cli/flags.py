@@ -22,7 +22,7 @@ ModelOrRobot = Annotated[
 Robot = Annotated[
     Path | None,
     typer.Option(
-        help="Robot file (robot.yaml of `symbid init`) with values of options that are not given.",
+        help="Robot file (robot.yaml of `symbid init`), for options that are not given here.",
         show_default=False,
     ),
 ]

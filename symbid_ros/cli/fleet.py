@@ -25,7 +25,7 @@ def fleet(
         bool, typer.Option("--json", help="Print one JSON object instead of tables.")
     ] = False,
 ) -> None:
-    """Compare robots of one type: what they have in common, and which one differs where.
+    """Compare robots of one type: common parameters, and robots and links that differ.
 
     All must be identified with the same model. Joint terms are chosen for all together.
 

@@ -38,7 +38,7 @@ def init(
 
     With --foxglove it writes a layout for Foxglove that suits the robot.
 
-    What was guessed is marked CHECK. `symbid identify`, `validate` and `bag doctor` read the file
+    Guesses are marked CHECK. `symbid identify`, `validate` and `bag doctor` read the file
     with --robot, the node `identifier` with --params-file.
 
     Exit status: 0 the log is usable as the file says, 1 correct the file first, 2 error.

@@ -24,9 +24,9 @@ def diff(
         bool, typer.Option("--json", help="Print one JSON object instead of tables.")
     ] = False,
 ) -> None:
-    """Show what an identification changed: each link's mass, centre of mass and inertia.
+    """Show the changes of each link's mass, centre of mass and inertia by an identification.
 
-    The original robot before, the identified one after, with standard deviations.
+    The columns are the original robot, the identified robot and its standard deviations.
 
     A star marks changes of more than two standard deviations.
     """
@@ -49,7 +49,9 @@ def apply(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="File to write instead; the robot's file stays.", show_default=False),
+        typer.Option(
+            help="File to write instead; the robot's file is not changed.", show_default=False
+        ),
     ] = None,
     xacro_yaml: Annotated[
         Path | None,

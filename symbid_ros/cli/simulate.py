@@ -230,8 +230,9 @@ def udp_client(
         Path | None,
         typer.Option(
             help="File to which a running identifier writes its estimates (its parameter "
-            "live_model). They replace the model's inertias when they can be trusted; moves begin "
-            "small and grow as the standard deviations of mass and centre of mass decrease."
+            "live_model). They replace the model's inertias once they are accurate enough; moves "
+            "begin small and grow as the standard deviations of mass and centre of mass "
+            "decrease."
         ),
     ] = None,
     largest_change: Annotated[
@@ -239,8 +240,7 @@ def udp_client(
         typer.Option(
             min=0.01,
             max=1.0,
-            help="Largest change of a torque that an identified model may cause, as a share of the "
-            "drive's limit.",
+            help="Largest change of a torque by a new model, as a share of the drive's limit.",
         ),
     ] = 0.25,
     timeout: Annotated[

@@ -42,7 +42,7 @@ def validate(
     payload: Carried = None,
     as_json: Json = False,
 ) -> None:
-    """Compare an identified robot with a log that was not used; no truth is needed.
+    """Test an identified robot on a log that was not used; no ground truth is needed.
 
     Torques of the original and of the identified model are predicted from the measured motion,
     and compared with the measured ones. The bag is read like that of the identification, with the
@@ -89,9 +89,8 @@ def compare(
 ) -> None:
     """Rank identifications of one robot by their error on a log that none of them used.
 
-    All are judged on the same rows: windows of the longest length among them, where the equation
-    of motion holds for each. The bag is read like those of the identifications, as far as these
-    agree.
+    All are compared on the same rows: windows of the longest length among them that are valid for
+    each. The bag is read like those of the identifications, as far as these agree.
 
     Exit status: 0 one is recommended, 1 none is better than the original model and fit for this
     robot and load, 2 error.

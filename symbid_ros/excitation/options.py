@@ -109,7 +109,7 @@ class ExciteOptions(MountingOptions):
         unset="no floor",
     )
     no_collision: bool = option(
-        False, "Do not keep links apart from each other and the floor.", group=LIMITS
+        False, "Ignore collisions of links with each other and the floor.", group=LIMITS
     )
     feet: tuple[str, ...] = option(
         (),

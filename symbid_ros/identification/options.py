@@ -97,23 +97,21 @@ class IdentifyOptions(RobotOptions):
     )
     prior_percent: float | None = option(
         None,
-        "How far each value of the model may be wrong, ± percent of the value (half-width of a "
-        "uniform prior).",
+        "Half-width of a uniform prior of each value of the model, in percent of the value.",
         unit="%",
         positive=True,
         group=KNOWN,
     )
     prior_absolute: float | None = option(
         None,
-        "How far each value of the model may be wrong, ± this number in SI units (half-width of a "
-        "uniform prior).",
+        "Half-width of a uniform prior of each value of the model, in SI units.",
         positive=True,
         group=KNOWN,
     )
     keep_prior: bool = option(
         False,
-        "Keep the uncertainty of the model's values at ±25 %. By default it is estimated from the "
-        "data, and ±25 % is kept only if the last quarter of the log is then predicted better.",
+        "Keep the prior of the model's values at ±25 %. By default its width is estimated from "
+        "the data, unless ±25 % predicts the last quarter of the log better.",
         group=KNOWN,
     )
     total_mass: float | None = option(
@@ -129,19 +127,18 @@ class IdentifyOptions(RobotOptions):
     )
     force_scale_std: float | None = option(
         None,
-        "Standard deviation of a gain error that all force and effort sensors have in common. No "
-        "log shows such an error; the standard deviations of all parameters then contain it. 0: "
-        "none.",
+        "Standard deviation of a common gain error of all force and effort sensors, which no log "
+        "can show. The standard deviations of all parameters then contain it; 0: no error.",
         unit="%",
         minimum=0.0,
         maximum=100.0,
         group=KNOWN,
-        unset="1, in the standard deviations of the masses only",
+        unset="1, contained in the standard deviations of the masses only",
     )
     mirror: float | None = option(
         None,
-        "How far left and right links may differ, in standard deviations of the prior, such as "
-        "0.1.",
+        "Standard deviation of the difference between left and right links, as a multiple of the "
+        "prior's, such as 0.1.",
         positive=True,
         group=KNOWN,
         unset="left and right are independent",
@@ -154,21 +151,21 @@ class IdentifyOptions(RobotOptions):
     )
     payload: tuple[PayloadSource, ...] = option(
         (),
-        "Known payload LINK,MASS,X,Y,Z (kg; m in the link's axes) that the robot carries, such as "
-        "tool0,2.5,0,0,0.06; with BAG: before it, in a further bag that is identified together "
-        "with the others. Without X,Y,Z its place is identified too.",
+        "Known payload that the robot carries: LINK,MASS,X,Y,Z (kg; m in the link's axes), such "
+        "as tool0,2.5,0,0,0.06. BAG:LINK,... is the payload of a further bag, which is "
+        "identified together with the others. Without X,Y,Z the position is identified too.",
         accepts=_is_loaded_log,
         group=KNOWN,
         metavar="PAYLOAD",
     )
     information: Path | None = option(
         None,
-        "Folder of an earlier identification, or its information.npz; its data are used as well.",
+        "Folder of an earlier identification, or its information.npz, whose data are added.",
         group=KNOWN,
     )
     joint_terms: tuple[str, ...] = option(
         (),
-        f"Joint terms to identify: auto (for each joint those that the data support), none, or a "
+        f"Joint terms to identify: auto (the data choose those of each joint), none, or a "
         f"comma-separated list of {', '.join(TERMS)} for all joints.",
         group=JOINTS,
         unset="auto; none with `filter` butterworth or savitzky_golay and with ols, wls_r, wls_c "
@@ -190,9 +187,9 @@ class IdentifyOptions(RobotOptions):
     drive_gain: tuple[str, ...] = option(
         (),
         "Joints whose efforts have an unknown unit or sign, such as motor currents: all, none, or "
-        "a comma-separated list. A factor on the effort of each is identified.",
+        "a comma-separated list. A factor of each of these efforts is identified.",
         group=JOINTS,
-        unset="for arms, those whose efforts clearly have a wrong factor; otherwise none",
+        unset="for arms, joints whose efforts clearly have a wrong factor; otherwise none",
     )
     drive_gain_percent: float | None = option(
         None,
@@ -215,14 +212,14 @@ class IdentifyOptions(RobotOptions):
         "Drives whose speed is a sum of joint speeds, such as joint_5+joint_6 or "
         "joint_2-0.5*joint_3: friction and armature then act on this sum as well.",
         group=JOINTS,
-        unset="searched for in logs of arms",
+        unset="found from logs of arms",
     )
     ripple: tuple[str, ...] = option(
         (),
         "Torque ripple of sensors, motors or gears: JOINT:PERIODS in a turn of the joint, such as "
         "joint_6:4.",
         group=JOINTS,
-        unset="searched for in logs",
+        unset="found from logs",
     )
     sensor_errors: tuple[str, ...] = option(
         (),
@@ -230,8 +227,8 @@ class IdentifyOptions(RobotOptions):
         f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)}. compliance: "
         "elastic joints; link_length, joint_axis: errors of the model's geometry.",
         group=JOINTS,
-        unset="compliance (arms) or imu_bias (robots with foot sensors) if the log shows it; "
-        "otherwise none. With `contact`, imu_bias always, unless none is given",
+        unset="compliance (arms) or imu_bias (robots with foot sensors) if the log shows it, "
+        "imu_bias always with `contact`, otherwise none",
     )
     filter: Filter | None = option(
         None,
@@ -275,7 +272,7 @@ class IdentifyOptions(RobotOptions):
         "Number of singular values to use.",
         minimum=1,
         group=TRUNCATED,
-        unset="as many as the data determine better than the prior",
+        unset="number of directions that the data determine better than the prior",
     )
     choose_truncation: Source | None = option(
         None,
@@ -304,17 +301,17 @@ class IdentifyOptions(RobotOptions):
         unset="one per CPU core",
     )
     no_holdout: bool = option(
-        False, "Skip the trial without the last quarter of the log, which checks the result."
+        False, "Skip the check of the result by a trial that predicts the last quarter of the log."
     )
     export_kinematics: bool = option(
         False,
-        "Write calibrated.urdf and calibrated.xml as well: the identified robot with the joint "
-        "placements that `sensor_errors` link_length and joint_axis found.",
+        "Also write calibrated.urdf and calibrated.xml: the identified robot with the joint "
+        "placements estimated by `sensor_errors` link_length and joint_axis.",
     )
     unchecked: bool = option(
         False,
-        "Skip the checks of the log (`symbid bag doctor`); live, the check that forces carry the "
-        "weight.",
+        "Skip the checks of the log (`symbid bag doctor`), or live the check that the forces "
+        "carry the weight.",
     )
 
     def __post_init__(self) -> None:

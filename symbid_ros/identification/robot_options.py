@@ -25,8 +25,8 @@ class RobotOptions(MountingOptions):
         (),
         "Frames of the wrist force/torque sensors, comma-separated. Everything beyond a sensor is "
         "identified as a separate link, together with the sensor's offset. Write FRAME:LINK if "
-        "that begins with a link other than FRAME, and -FRAME if the sensor reads the wrench of "
-        "the robot on the payload.",
+        "the first link beyond the sensor is not FRAME, and -FRAME if the sensor reads the "
+        "wrench of the robot on the payload.",
         group=GROUP,
     )
     contact: tuple[str, ...] = option(
@@ -42,19 +42,20 @@ class RobotOptions(MountingOptions):
 
     force_only: tuple[str, ...] = option(
         (),
-        "Frames of foot sensors that measure forces alone, comma-separated. The force acts at the "
-        "lowest point of the model's ball about the frame, and has the moment that follows; "
-        "FRAME:RADIUS gives the ball's radius, m. none: zero moments in the log are measured.",
+        "Frames of foot sensors that measure forces alone, comma-separated. The force is assumed "
+        "to act at the lowest point of the model's ball about the frame. FRAME:RADIUS gives the "
+        "ball's radius, m. none: use moments of zero as measured.",
         group=GROUP,
-        unset="those with a ball whose moments are zero in the log, if the log shows the radius",
+        unset="sensors of ball feet with moments of zero in the log, if the log shows the radius",
     )
 
     end_stops: tuple[str, ...] = option(
         (),
-        "Joints that lean on the ends of their ranges in the model, comma-separated. Their rows "
-        "there are left out, because no sensor measures the force of an end stop. none: no joint.",
+        "Joints that rest against the ends of their ranges in the model, comma-separated. Rows in "
+        "which they do so are left out, because no sensor measures the force of an end stop. "
+        "none: no joint.",
         group=GROUP,
-        unset="those at an end of which the log shows such a force",
+        unset="joints for which the log shows such a force",
     )
 
     def __post_init__(self) -> None:

@@ -58,14 +58,14 @@ class LogOptions:
     pose_topic: tuple[str, ...] = option(
         (),
         "Odometry or PoseStamped topic with the pose of a floating robot in the world, as from "
-        "motion capture. It replaces the IMU. Together with an IMU, it is used for link lengths "
+        "motion capture. It replaces a missing IMU. Beside an IMU it is used for link lengths "
         "and joint axes, if `sensor_errors` names these.",
         group=GROUP,
     )
     wheel_topic: tuple[str, ...] = option(
         (),
-        "Topic of a wheeled base's Odometry, or of an Imu on it. The base counts as fixed while it "
-        "is parked; the times at which it drives are left out.",
+        "Topic of a wheeled base's Odometry, or of an Imu on it. The base counts as fixed while "
+        "it is parked; periods of driving are left out.",
         group=GROUP,
     )
     pose_frame: str = option(

@@ -22,8 +22,8 @@ class MountingOptions:
         "for an arm on a wall.",
         group="Mounting of the robot",
         metavar="X Y Z",
-        unset="that of the model file; identifications use another one if a log shows it without "
-        "doubt",
+        unset="that of the model file; identifications estimate it from the log if the "
+        "efforts clearly contradict the file",
     )
 
     def __post_init__(self) -> None:

@@ -53,8 +53,7 @@ PARAMETERS = (
     Parameter(
         "largest_change",
         0.25,
-        "Largest change of a torque that an identified model may cause, as a share of the drive's "
-        "limit.",
+        "Largest change of a torque by a new model, as a share of the drive's limit.",
         minimum=0.01,
         maximum=1.0,
     ),

@@ -21,7 +21,7 @@ class JointSensorOptions:
 
     rate: float = option(
         250.0,
-        "Rate of the joint states; a simulation takes the nearest that divides 1000.",
+        "Rate of the joint states; a simulation uses the nearest divisor of 1000.",
         unit="Hz",
         minimum=20.0,
         maximum=1000.0,

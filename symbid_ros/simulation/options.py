@@ -28,15 +28,15 @@ class SimulateOptions:
     )
     moves: int = option(
         20,
-        "Number of moves of the centre of mass, the hook or each lifted foot, or of steps; tare: "
-        "none.",
+        "Number of moves (of the centre of mass, the hook or each lifted foot) or steps; no "
+        "effect in tare.",
         minimum=1,
         maximum=100_000,
     )
     motion_seed: int = option(0, "Random seed of the moves.", minimum=0)
     noise_seed: int = option(0, "Random seed of the sensor noise.", minimum=0)
-    ideal: bool = option(False, "Noise-free sensor data; the motion stays the same.")
-    friction: bool = option(False, "Joints with the friction and armature of friction.yaml.")
+    ideal: bool = option(False, "Noise-free sensor data of the same motion.")
+    friction: bool = option(False, "Add the friction and armature of friction.yaml to the joints.")
     friction_file: Path | None = option(
         None, "YAML file to use instead of friction.yaml; implies `friction`."
     )
