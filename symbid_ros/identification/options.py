@@ -310,7 +310,7 @@ class IdentifyOptions(RobotOptions):
     )
     unchecked: bool = option(
         False,
-        "Skip the checks of the log (`symbid bag doctor`), or live the check that the forces "
+        "Skip the checks of the log (`symbid bag doctor`). Live: skip the check that the forces "
         "carry the weight.",
     )
 

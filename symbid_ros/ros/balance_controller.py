@@ -36,7 +36,7 @@ STOP_POLL = 0.05  # s; longest delay until a stop signal is noticed
 SILENCE = 0.5  # s without a measurement until the status becomes a warning
 WARNING_PERIOD = 5.0  # s between two warnings of one kind
 PARAMETERS = (
-    Parameter("scenario", "smooth", "What the robot does.", choices=("smooth", "wide", "squat")),
+    Parameter("scenario", "smooth", "Motion of the robot.", choices=("smooth", "wide", "squat")),
     Parameter("moves", 20, "Number of moves of the centre of mass.", minimum=1, maximum=100_000),
     Parameter("motion_seed", 0, "Random seed of the moves.", minimum=0),
     Parameter(
