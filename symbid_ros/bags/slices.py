@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import IntArray
+from symbid_ros.bags.clock_jumps import ClockJumps, earliest_before_jump
 from symbid_ros.bags.container.blocks import MessageBlock
 from symbid_ros.bags.container.files import count_messages, join_names, read_blocks
 from symbid_ros.bags.recordings import separate_recordings
@@ -130,6 +131,7 @@ class _Slicer:
             for topic in chosen.all
         }
         self._joints = self._buffers[chosen.clock]
+        self._jumps = ClockJumps(source, chosen.clock.name, part)
         self._flags = tuple(FlagHistory(one, chosen.flagged_frame(one)) for one in chosen.flags)
         self._last_joint_state: int | None = None
         self._processed_until, self._end = ALWAYS
@@ -153,6 +155,7 @@ class _Slicer:
             self._processed_until = max(max(newest) + 1, self._requested_from)
         for buffer in self._buffers.values():
             buffer.begin()
+        self._jumps.begin()
 
     @property
     def is_done(self) -> bool:
@@ -163,13 +166,19 @@ class _Slicer:
         """Add the messages of a block."""
         if self._shift is None:
             self._shift = self._shift_of(block)
+        if self._jumps.first is None and self._chosen.clock in block.spans:
+            spans = block.spans[self._chosen.clock].tolist()
+            stamps = [read_leading_stamp(block.data[at : at + n].tobytes()) for at, n in spans]
+            self._jumps.first = earliest_before_jump(np.array(stamps)) if stamps else None
+        joints = np.empty(0, dtype=np.int64)
         for topic, buffer in self._buffers.items():
             if topic in block.spans:
                 spans = block.spans[topic]
                 limits = self._processed_until, self._requested_from
-                buffer.add(block.data, spans, *limits, self._shift or 0)
+                added = buffer.add(block.data, spans, *limits, self._shift or 0, jumps=self._jumps)
+                joints = added if topic == self._chosen.clock else joints
         if self._flags:
-            self._add_flags(block)
+            self._add_flags(block, joints)
         for topic, spans in block.spans.items():
             if is_static(topic):
                 for start, size in spans.tolist():
@@ -206,13 +215,13 @@ class _Slicer:
             )
         return shift_behind(min(heads), self._processed_until)
 
-    def _add_flags(self, block: MessageBlock) -> None:
-        """Add the flags of a block, each with the stamp of the last joint state before it."""
+    def _add_flags(self, block: MessageBlock, joints: IntArray) -> None:
+        """Add the flags of a block, each with the stamp of the last joint state before it.
+
+        ``joints`` (N,) are the stamps of the block's joint states, ns.
+        """
         spans = block.spans.get(self._chosen.clock, np.zeros((0, 2), dtype=np.int64))
-        stamps = [
-            read_leading_stamp(block.data[start : start + size].tobytes()) + (self._shift or 0)
-            for start, size in spans.tolist()
-        ]
+        stamps = joints.tolist()
         for history in self._flags:
             for start, size in block.spans.get(history.topic, ()):
                 before = int(np.searchsorted(spans[:, 0], start))
@@ -276,6 +285,7 @@ class _Slicer:
         return min(stop, self._end)
 
     def _slice(self, stop: int) -> Slice:
+        self._jumps.check()
         start, self._processed_until = self._processed_until, stop
         margin = resampling_margin(buffer.stamps for buffer in self._buffers.values())
         if self._chosen.poses:
@@ -351,12 +361,20 @@ class ReorderBuffer:
         processed_until: int = ALWAYS[0],
         requested_from: int = ALWAYS[0],
         shift: int = 0,
-    ) -> None:
+        *,
+        jumps: ClockJumps | None = None,
+    ) -> IntArray:
         """Decode and add the payloads (N, 2: start, length) in a block of bytes.
 
         Messages with stamps before ``processed_until``, ns, are dropped. They count as late if they
         belong to the requested part, which starts at ``requested_from``. ``shift``, whole seconds
-        in ns, is added to all stamps.
+        in ns, is added to all stamps. Jumps back of the clock outside the requested part move the
+        stamps after them, if ``jumps`` is given.
+
+        Returns
+        -------
+        (N,) int64
+            Stamps as buffered, ns.
 
         Raises
         ------
@@ -364,20 +382,24 @@ class ReorderBuffer:
             When a message cannot be decoded, or the clock jumps back.
         """
         if not len(spans):
-            return
+            return np.empty(0, dtype=np.int64)
         first = self.decoder.count
         self.decoder.add(data, spans)
-        recorded = np.empty(len(spans), dtype=np.int64)
+        sent = np.empty(len(spans), dtype=np.int64)
         for batch in self.decoder.batches:
-            stamps = read_stamp(batch.records) + shift
-            recorded[batch.index - first] = stamps
+            sent[batch.index - first] = read_stamp(batch.records)
+        recorded, topic = sent + shift, self.decoder.topic.name
+        if jumps is not None:
+            recorded = jumps.continued(topic, self._last, recorded)
+        check_clock(self.decoder.source, topic, np.append(self._last, recorded))
+        for batch in self.decoder.batches:
+            places = batch.index - first
+            stamps = recorded[places]
             records = batch.layout.packed(batch.records)
-            records["header.stamp.sec"] += shift // SECOND
+            records["header.stamp.sec"] += (stamps - sent[places]) // SECOND
             numbers = DecodedBatch(batch.layout, batch.index, records)
             self._keep(_Part(numbers, stamps).between(processed_until, ALWAYS[1]))
         self.decoder.batches = []
-        topic = self.decoder.topic.name
-        check_clock(self.decoder.source, topic, np.append(self._last, recorded))
         self._last = recorded[-1:]
         self.tally.during = ALWAYS
         self.tally.count_messages(recorded)
@@ -385,6 +407,7 @@ class ReorderBuffer:
         self.tally.add(Defect.LATE, recorded, is_late)
         newest = int(recorded.max())
         self.newest = newest if self.newest is None else max(self.newest, newest)
+        return recorded
 
     def between(self, start: int, stop: int) -> TopicDecoder:
         """Return the messages with stamps from ``start`` up to ``stop``, ns."""
