@@ -385,7 +385,8 @@ def print_validation(found: Validation) -> None:
             f"mean of (error / std)²: {significant(found.normalized_square)}, ideally 1",
             soft_wrap=True,
         )
-    style = "bold red" if not found.is_recommended else "green" if found.is_covered else "yellow"
+    is_sure = found.is_covered and not found.alarms
+    style = "bold red" if not found.is_recommended else "green" if is_sure else "yellow"
     console.print(Text(spelled(found.verdict, flag), style=style), soft_wrap=True)
 
 

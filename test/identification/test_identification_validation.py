@@ -125,8 +125,12 @@ def test_a_recommendation_repeats_the_alarms_of_the_identification(arm, found) -
     doubtful = replace(verdict, alarms=("the prior is wrong; widen it", "a sensor drifts"))
     doubted = replace(predictor, estimate=replace(predictor.estimate, verdict=doubtful))
     log = AlignedLog(arm.held_out, predictor.parameters.model)
-    said = validate_segments(doubted, log, "log").verdict
-    assert said.startswith("use it: ")
+    judged = validate_segments(doubted, log, "log")
+    said = judged.verdict
+    assert judged.is_recommended
+    assert said.startswith("use it, although its identification raised 2 alarms: ")
+    assert judged.document()["identification_alarms"] == 2
+    assert found.document()["identification_alarms"] == 0
     assert said.endswith("; alarms of its identification: the prior is wrong; a sensor drifts")
 
 
@@ -427,6 +431,13 @@ def test_results_are_ranked_on_equal_rows(arm, tmp_path) -> None:
     assert best.main.measured == pytest.approx(second.main.measured)
     assert best.percent_after < second.percent_after
     assert found.verdict.startswith(f"{good} predicts best: ")
+    assert "alarm" not in found.verdict
+    file = good / "estimate.json"
+    estimate = json.loads(file.read_text())
+    estimate["verdict"]["alarms"] = ["a sensor drifts; let it warm up"]
+    file.write_text(json.dumps(estimate))
+    doubted = compare([rough, good], arm.held_out).verdict
+    assert doubted.endswith(f"; {good}: its identification raised 1 alarm")
     alike = compare([good, arm.identified()], arm.held_out)
     assert "hardly differ" in alike.verdict
     assert compare([good], arm.held_out).verdict.startswith(f"{good}: use it")

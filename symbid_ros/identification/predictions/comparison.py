@@ -138,7 +138,10 @@ def _ranking_verdict(
     else:
         verdict, equals = f"{best.result} and {second.result} hardly differ: {figures}", [*pair]
     verdict += "".join(f"; {_objection(one)}" for one in equals if not one.is_recommended)
-    return verdict, next((one for one in equals if one.is_recommended), None)
+    chosen = next((one for one in equals if one.is_recommended), None)
+    if chosen is not None and chosen.alarms:
+        verdict += f"; {chosen.result}: {chosen.counted_alarms}"
+    return verdict, chosen
 
 
 def _objection(found: Validation) -> str:

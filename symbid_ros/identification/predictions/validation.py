@@ -9,7 +9,6 @@ import numpy as np
 from symbid_ros.arrays import IntArray
 from symbid_ros.blas_threads import on_one_blas_thread
 from symbid_ros.errors import DataError, OptionError
-from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.identification.offset_changes import offset_changes, without_offset_changes
 from symbid_ros.identification.predictions.error_changes import (
     ALL_JOINTS,
@@ -165,6 +164,7 @@ def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validatio
             and joint not in model.followers
         ),
         offsets=offsets,
+        alarms=() if (judged := predictor.estimate.verdict) is None else judged.alarms,
     )
     if found.percent_after is not None and found.percent_after >= NO_MODEL:
         found = replace(found, advice="unfit")
@@ -172,10 +172,9 @@ def assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validatio
     if found.advice == "mixed":
         deciding += worse.values()
     found = replace(found, deciding=tuple(deciding))
-    alarms = _repeated_alarms(predictor.estimate.verdict)
     verdict = _verdict(found, changes)
-    verdict += _reservations(found, has_sensors=bool(model.wrist_sensors), is_doubted=bool(alarms))
-    return replace(found, verdict=verdict + alarms)
+    verdict += _reservations(found, has_sensors=bool(model.wrist_sensors))
+    return replace(found, verdict=verdict + _repeated_alarms(found.alarms))
 
 
 def _worse_parts(rows: ForceRows) -> dict[str, ForceError]:
@@ -245,19 +244,19 @@ def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
         limits += [f"its offset of {one.frame}" for one in found.offsets]
         limits += ["its standard deviations"] * (not found.is_covered)
         start = ", but not ".join([start, " and not ".join(limits)]) if limits else start
+        start += f", although {found.counted_alarms}" if found.alarms else ""
     return f"{start}: {found.change} {used}"
 
 
-def _repeated_alarms(identified: Verdict | None) -> str:
+def _repeated_alarms(alarms: Sequence[str]) -> str:
     """Return the alarms of the identification without their advice; empty if there are none."""
-    alarms = () if identified is None else identified.alarms
     if not alarms:
         return ""
     said = "; ".join(alarm.partition("; ")[0] for alarm in alarms)
     return f"; alarms of its identification: {said}"
 
 
-def _reservations(found: Validation, *, has_sensors: bool, is_doubted: bool) -> str:
+def _reservations(found: Validation, *, has_sensors: bool) -> str:
     """Return which intervals and joints the advice is not about; empty if there are none."""
     remarks = [
         f"{change}, which is left out: another tare or drift" for change in map(str, found.offsets)
@@ -267,7 +266,7 @@ def _reservations(found: Validation, *, has_sensors: bool, is_doubted: bool) -> 
         differs = (
             "the robot, its load or its wrist sensor" if has_sensors else "the robot or its load"
         )
-        wrong = "the identification is wrong, as its alarms say, or " if is_doubted else ""
+        wrong = "the identification is wrong, as its alarms say, or " if found.alarms else ""
         remarks.append(
             f"the errors are {ratio:.0f} times as large as in the identified log, so {wrong}"
             f"{differs} differs from the identified one: give what it carries as `payload`, or "

@@ -124,6 +124,8 @@ class Validation:
     offsets : tuple of OffsetChange
         Wrist sensors whose offset is not that of the identified log, because they were tared again.
         All errors are without this change.
+    alarms : tuple of str
+        Alarms of the identification. Forces may be predicted well although its numbers are wrong.
     """
 
     result: str
@@ -149,6 +151,7 @@ class Validation:
     worse: tuple[str, ...] = ()
     not_judged: tuple[str, ...] = ()
     offsets: tuple[OffsetChange, ...] = ()
+    alarms: tuple[str, ...] = ()
 
     @property
     def is_better(self) -> bool:
@@ -215,6 +218,12 @@ class Validation:
         )
 
     @property
+    def counted_alarms(self) -> str:
+        """The number of alarms of the identification as a clause."""
+        count = len(self.alarms)
+        return f"its identification raised {count} alarm{'s' if count > 1 else ''}"
+
+    @property
     def groups(self) -> tuple[ForceError, ...]:
         """Errors over several coordinates."""
         every = self.torque, self.slow, self.base_moment, self.base_force
@@ -236,6 +245,7 @@ class Validation:
             "is_recommended": self.is_recommended,
             "worse": list(self.worse),
             "not_judged": list(self.not_judged),
+            "identification_alarms": len(self.alarms),
             "percent_before": self.percent_before,
             "percent_after": self.percent_after,
             "file_percents": self.file_percents,
