@@ -79,6 +79,7 @@ class JointCheck:
     _low: FloatArray = field(init=False)
     _high: FloatArray = field(init=False)
     _is_converted: BoolArray = field(init=False)  # by the user's position_scale
+    _held: frozenset[str] = frozenset()  # joints that the log lacks
     _count: int = 0
     _messages: int = 0
     _without_position: IntArray = field(init=False)
@@ -121,6 +122,7 @@ class JointCheck:
         """
         if joints.names != self.names or len(joints.stamp) < 3:
             return
+        self._held = frozenset(joints.held)
         self._is_converted = np.isin(self.names, list(joints.position_scale))
         inside = slice(*np.searchsorted(joints.stamp, during).tolist())
         is_finite = np.isfinite(joints.effort[inside])
@@ -250,6 +252,7 @@ class JointCheck:
             return []
         joints = {} if model is None else {joint.name: joint for joint in model.joints}
         known = [i for i, name in enumerate(self.names) if model is None or name in joints]
+        known = [i for i in known if self.names[i] not in self._held]
         driven = [i for i in known if model is None or joints[self.names[i]].effort > 0]
         # Without a model, a joint that never has a position may not need one.
         most = self._messages if model is not None else self._messages - 1

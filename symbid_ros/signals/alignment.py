@@ -337,7 +337,14 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
         "give efforts in Nm (N)" if streams.is_arrays else "let the driver fill JointState.effort"
     )
     efforts = measured_efforts(
-        stamp, position, effort, model=model, longest_gap=longest, topic=topic, remedy=action
+        stamp,
+        position,
+        effort,
+        model=model,
+        longest_gap=longest,
+        topic=topic,
+        remedy=action,
+        held=joints.held,
     )
     if not model.floating and not efforts.any_row:
         fault = "no effort of any joint"

@@ -6,7 +6,7 @@ joints are not affected.
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -67,6 +67,7 @@ def measured_efforts(
     longest_gap: float,
     topic: str,
     remedy: str,
+    held: Collection[str] = (),
 ) -> MeasuredEfforts:
     """Find out which efforts were measured, and log a warning about the others.
 
@@ -84,6 +85,8 @@ def measured_efforts(
         Longest gap to interpolate, ns.
     topic, remedy : str
         Log and topic, and what to do, for warnings.
+    held : collection of str
+        Joints that the log lacks, which is no fault of their driver.
     """
     number = stamp // SPAN
     starts = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
@@ -95,7 +98,7 @@ def measured_efforts(
 
     def lose(joint: int, what: str, is_lost: BoolArray) -> None:
         lost[:, joint] |= is_lost
-        if is_lost.any():
+        if is_lost.any() and model.joint_names[joint] not in held:
             unmeasured.setdefault((what, bool(lost[:, joint].all())), []).append(
                 model.joint_names[joint]
             )
