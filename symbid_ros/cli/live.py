@@ -140,7 +140,7 @@ def live(
                     "--namespace if each robot has its topics in a namespace",
                     **AS_IT_IS,
                 )
-            watched = {"identifier": name}
+            watched: dict[str, object] = {"identifier": name, "as_flags": True}
             shown = [identifier]
             if web:
                 started = start_page(page | watched, environment, logs, console, remapped)

@@ -26,6 +26,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.formatting import ABSENT, fixed, with_std
 from symbid_ros.ros.endpoints import latched_qos, reliable_qos
 from symbid_ros.ros.monitor_messages import (
+    AS_FLAGS,
     DISABLED,
     IdentifierStatus,
     PublishedLink,
@@ -51,6 +52,7 @@ PARAMETERS = (
     Parameter(
         "timeout", 0.0, "Time without an estimate after which to fail, s; 0: none.", minimum=0.0
     ),
+    AS_FLAGS,
 )
 
 
@@ -263,6 +265,7 @@ class Monitor:
         self._truth = _truth(values["truth"])
         self._wanted: int = values["estimates"]
         self._timeout: float = values["timeout"]
+        self._as_flags: bool = values["as_flags"]
         self._lock = Lock()
         self._changed = Event()
         self._estimate: RobotEstimate | None = None
@@ -307,7 +310,7 @@ class Monitor:
                 identifier=self._identifier,
                 estimate=self._estimate,
                 first=dict(self._first),
-                status=read_status(self._statuses),
+                status=read_status(self._statuses, as_flags=self._as_flags),
                 silence=now - self._newest_status,
                 truth=self._truth,
             )

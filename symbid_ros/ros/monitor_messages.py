@@ -13,7 +13,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.model.inertia import PARAMETERS
+from symbid_ros.options import spelled
 from symbid_ros.report.formatting import counted
+from symbid_ros.ros.parameters import Parameter
 
 # Counts of a stream that should be zero.
 PAUSES = "pauses"
@@ -22,6 +24,12 @@ LEVELS = {1: "warning", 2: "error"}
 # Messages of the status "estimate".
 DISABLED = "disabled by ~/enable"
 TOO_EARLY_TO_FIT = "too early to tell whether the model with its joint terms explains the data"
+
+AS_FLAGS = Parameter(
+    "as_flags",
+    False,
+    "Whether warnings name flags of symbid live, not parameters.",
+)
 
 
 @dataclass(frozen=True)
@@ -167,13 +175,16 @@ def read_estimate(message: DiagnosticArray) -> RobotEstimate:
     )
 
 
-def read_status(statuses: Mapping[str, DiagnosticStatus]) -> IdentifierStatus:
-    """Parse the newest statuses of one identifier, by part."""
+def read_status(
+    statuses: Mapping[str, DiagnosticStatus], *, as_flags: bool = False
+) -> IdentifierStatus:
+    """Parse the newest statuses of one identifier, by part; its warnings may name flags."""
     estimate, streams = statuses.get("estimate"), statuses.get("streams")
     change = statuses.get("change")
     is_followed = change is not None and _level(change) == 0 and "since" in _values(change)
     warnings = [
-        f"{LEVELS.get(_level(status), 'stale')}: {status.message}"
+        f"{LEVELS.get(_level(status), 'stale')}: "
+        + spelled(status.message, _flag if as_flags else str)
         for status in statuses.values()
         if _level(status) > 0
     ]
@@ -186,6 +197,10 @@ def read_status(statuses: Mapping[str, DiagnosticStatus]) -> IdentifierStatus:
         is_judged=estimate is None or estimate.message != TOO_EARLY_TO_FIT,
         followed=change.message if change is not None and is_followed else "",
     )
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _link(

@@ -35,6 +35,7 @@ from symbid_ros.ros.endpoints import latched_qos, reliable_qos
 from symbid_ros.ros.identifier_parameters import model_of
 from symbid_ros.ros.live_posture import POSTURE_PARAMETERS, LivePosture
 from symbid_ros.ros.monitor_messages import (
+    AS_FLAGS,
     PublishedLink,
     RobotEstimate,
     StreamCounts,
@@ -67,6 +68,7 @@ PARAMETERS = (
         "Address to listen on. With any other than 127.0.0.1, other machines can open the page.",
     ),
     Parameter("port", 8377, "Port of the page; 0: any that is free.", minimum=0, maximum=65535),
+    AS_FLAGS,
 )
 
 
@@ -75,6 +77,7 @@ class WebMonitor:
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._identifier: str = node.resolve_topic_name(values["identifier"])
+        self._as_flags: bool = values["as_flags"]
         model = load_model(*model_of(values))
         self._parameters = ParameterSet(model)
         given = values["prior"]
@@ -245,7 +248,7 @@ class WebMonitor:
     def _status_document(self) -> dict[str, Any]:
         with self._lock:
             statuses, estimate = dict(self._statuses), self._estimate
-        status = read_status(statuses)
+        status = read_status(statuses, as_flags=self._as_flags)
         parts = ["waiting for an estimate"]
         if estimate is not None:
             known = estimate.determined

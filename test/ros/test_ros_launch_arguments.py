@@ -30,6 +30,7 @@ NODES = (
 )
 # Parameters with the same meaning in several nodes.
 SHARED = {
+    "as_flags": {"monitor", "web_monitor"},
     "bag": {"player", "identifier"},  # the input
     "base": {"identifier", "web_monitor"},
     "clock_rate": {"mujoco_bridge", "player"},

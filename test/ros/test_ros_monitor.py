@@ -147,6 +147,14 @@ class TestMessages:
         assert (joints.topic, joints.rate, dict(joints.faults)) == ("joint_states", 1000.2, {})
         assert read_status({}) == IdentifierStatus({}, (), ())
 
+    def test_a_warning_names_options_as_the_user_gives_them(self) -> None:
+        message = "waiting for topic /a (`joint_topic`); give `base` fixed"
+        statuses = {"estimate": status("", DiagnosticStatus.ERROR, message)}
+        (parameters,) = read_status(statuses).warnings
+        assert parameters == "error: waiting for topic /a (joint_topic); give base fixed"
+        (flags,) = read_status(statuses, as_flags=True).warnings
+        assert flags == "error: waiting for topic /a (--joint-topic); give --base fixed"
+
 
 class TestPage:
     def test_a_row_shows_the_values_of_the_message(self) -> None:
