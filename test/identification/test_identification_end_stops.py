@@ -84,6 +84,24 @@ def error_and_std(result, robot):
     return np.array([one.value for one in found]) - truth, np.array([one.std for one in found])
 
 
+def test_every_end_is_examined():
+    """Also those at which joints are less often than at most others."""
+    robot = arm(links=20)
+    ends = tuple(replace(one, lower=-END, upper=END) for one in robot.joints)
+    robot = replace(robot, joints=ends)
+    log, position, of_stops = driven_joints(robot, 24.0, 100.0, 20.0, seed=3, has_stops=True)
+    depth = end_stop_depth(position, robot.joints)
+    share = {1: (depth > 0).mean(axis=0), -1: (depth < 0).mean(axis=0)}
+    found = find_end_stops(AlignedLog(log, wrong(robot)), wrong(robot))
+    assert len(found) > 3
+    for one in found:
+        there = depth[:, one.joint] * one.side > 0
+        assert (of_stops[there, one.joint] * one.side).sum() < 0  # MuJoCo's stop pushes back
+        assert one.share == pytest.approx(share[one.side][one.joint], rel=0.1)
+    rarest = min(one.share for one in found)
+    assert np.sum(np.concatenate([*share.values()]) > rarest) > 12
+
+
 def test_an_end_without_a_force_is_no_stop(robot):
     log, position, _ = simulated(robot, has_stops=False)
     assert np.mean(position[:, 0] > END) > 0.005

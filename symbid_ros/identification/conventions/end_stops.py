@@ -28,8 +28,9 @@ logger = logging.getLogger(__name__)
 EVIDENCE = 50.0
 # A joint that is at an end for a larger share of the log has other limits than the file states.
 MOST = 0.5
-ENDS = 8  # at which joints are most often, and which are compared
-BLOCKS = 16  # in which joints are at ends, and which are compared beside some others
+# Blocks in which joints are at ends, and which are compared beside some others: so many, and more
+# until each end has its number.
+BLOCKS, BLOCKS_OF_END = 16, 4
 LOOSE = 30.0  # prior deviation of a stop's force, in efforts of the joint
 UPPER, LOWER = 1, -1
 
@@ -64,29 +65,36 @@ def find_end_stops(segments: Iterable[Segment], robot: RobotModel) -> tuple[EndS
     together with loose inertias and friction: a constant, and one in proportion to the depth.
     """
     count, samples = 0, np.zeros((2, len(robot.joints)))
+    seen = np.zeros_like(samples)  # blocks with each end
     blocks: dict[int, Segment] = {}
     for segment in segments:
         depth = end_stop_depth(segment.position, robot.joints)
         count += len(depth)
         samples += np.count_nonzero(depth > 0, axis=0), np.count_nonzero(depth < 0, axis=0)
         for block in cut_into_blocks(segment) if depth.any() else ():
-            if len(blocks) < BLOCKS and end_stop_depth(block.position, robot.joints).any():
+            depth = end_stop_depth(block.position, robot.joints)
+            is_at = np.array([(depth > 0).any(axis=0), (depth < 0).any(axis=0)])
+            is_new = bool(np.any(is_at & (seen < BLOCKS_OF_END)))
+            if is_new or (len(blocks) < BLOCKS and is_at.any()):
                 blocks[int(block.stamp[0])] = block
+                seen += is_at
     is_driven = [not one.sensor and one.mimic is None and one.effort > 0 for one in robot.joints]
     is_end = (samples > 0) & (samples < MOST * count) & np.array(is_driven, dtype=bool)
-    order = np.argsort(-np.where(is_end, samples, 0.0), axis=None)[: min(ENDS, is_end.sum())]
-    sides, joints = np.unravel_index(order, samples.shape)
     ends = [
         EndStop(joint, (UPPER, LOWER)[side], float(samples[side, joint] / count))
-        for side, joint in zip(sides.tolist(), joints.tolist(), strict=True)
+        for side, joint in np.argwhere(is_end).tolist()
     ]
     if not ends or not blocks:
         return ()
     blocks |= {int(block.stamp[0]): block for block in some_blocks(segments)}
-    rows = loose_rows(blocks.values(), robot)
-    if rows is None:
+    # A block's rows contain the forces during this block alone.
+    parts = [loose_rows([block], robot) for block in blocks.values()]
+    places = np.cumsum([0, *(0 if one is None else len(one.y) for one in parts)]).tolist()
+    long_enough = [one for one in parts if one is not None]
+    if not long_enough:
         return ()
-    pushes = [_Push.of(end, tuple(blocks.values()), rows) for end in ends]
+    rows = LooseRows.joined(long_enough)
+    pushes = [_Push.of(end, tuple(blocks.values()), rows, places) for end in ends]
     complete = _fit(rows, pushes)
     found = []
     for place, (end, push) in enumerate(zip(ends, pushes, strict=True)):
@@ -114,25 +122,30 @@ class _Push:
     sums: FloatArray
 
     @classmethod
-    def of(cls, end: EndStop, blocks: Sequence[Segment], rows: LooseRows) -> "_Push":
-        """Return the difference that the force makes in the efforts, and so in the rows."""
+    def of(
+        cls, end: EndStop, blocks: Sequence[Segment], rows: LooseRows, places: Sequence[int]
+    ) -> "_Push":
+        """Return the difference that the force makes in the efforts, and so in the rows.
+
+        ``places`` tell where the rows of each block begin and end.
+        """
         robot = rows.parameters.model
         depths = [end.depth(block, robot) for block in blocks]
         deepest = max(float(one.max(initial=0.0)) for one in depths) or 1.0
         efforts = np.concatenate([np.nan_to_num(block.effort[:, end.joint]) for block in blocks])
         size = LOOSE * float(np.sqrt(np.mean(efforts**2))) or 1.0
         columns, sums = np.zeros((*rows.y.shape, 2)), np.zeros(2)
-        for place in range(2):
-            changed = []
-            for block, depth in zip(blocks, depths, strict=True):
+        for block, depth, first, last in zip(blocks, depths, places[:-1], places[1:], strict=True):
+            if not depth.any():
+                continue
+            inside = slice(first, last)
+            for place, push in enumerate((size * np.sign(depth), size * depth / deepest)):
                 effort = block.effort.copy()
-                push = size * (depth / deepest if place else np.sign(depth))
                 effort[:, end.joint] += push
                 sums[place] += push.sum()
-                changed.append(replace(block, effort=effort))
-            different = loose_rows(changed, robot)
-            assert different is not None
-            columns[..., place] = np.where(rows.valid, different.y - rows.y, 0.0)
+                if different := loose_rows([replace(block, effort=effort)], robot):
+                    change = different.y - rows.y[inside]
+                    columns[inside, :, place] = np.where(rows.valid[inside], change, 0.0)
         return cls(columns, sums)
 
 

@@ -3,7 +3,7 @@
 They compare the likelihood of several readings of a log, such as other directions of gravity.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -109,6 +109,12 @@ class LooseRows:
     K: FloatArray
     y: FloatArray
     valid: BoolArray
+
+    @classmethod
+    def joined(cls, parts: Sequence["LooseRows"]) -> "LooseRows":
+        """Return the rows of all parts of a log, at least one, in their order."""
+        arrays = zip(*((one.K, one.y, one.valid) for one in parts), strict=True)
+        return cls(parts[0].parameters, *(np.concatenate(each) for each in arrays))
 
     @property
     def _coordinates(self) -> IntArray:
