@@ -58,6 +58,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.end_stops import end_stop_depth
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import COMPLIANCE
+from symbid_ros.signals.wheels import rolling_wheels, wheel_advice
 
 logger = logging.getLogger(__name__)
 
@@ -234,6 +235,7 @@ def load_problem(
     if read is None:
         checks = _check(dataset, streams, options, parameters, prior, watch=watch)
     require_rows(dataset, parameters.model)
+    _warn_of_wheels(dataset, parameters.model)
     if options.unchecked:  # otherwise the checks have said so
         report_unnamed_sensors(parameters.model, dataset)
     dataset, parameters = with_loaded_logs(options, log, dataset, parameters)
@@ -262,16 +264,22 @@ def _corrected(
     """Return the options as the log says they should be; the same if it contradicts none."""
     if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
         return with_reversed(options, wrong, dataset.source)
+    model, segments = parameters.model, dataset.segments
     if not options.unchecked:
-        refuse_degrees(dataset.segments, parameters.model, dataset.source)
+        refuse_degrees(segments, model, dataset.source)
     if options.drive_gains:  # signs and units of the efforts are unknown
         return options
-    model, segments = parameters.model, dataset.segments
     options = with_found_gravity(options, model, segments, dataset.source)
     options = with_found_moments(options, model, segments, dataset.source)
     if end_stop_depth(dataset.samples.position, model.joints).any():
         options = with_found_end_stops(options, model, segments, dataset.source)
     return options
+
+
+def _warn_of_wheels(dataset: Dataset, model: RobotModel) -> None:
+    wheels = rolling_wheels(dataset.samples.position, model.joints)
+    if wheels and not model.floating:
+        logger.warning("%s: %s", dataset.source, wheel_advice(wheels))
 
 
 def _digests(robot: RobotModel, options: IdentifyOptions, log: Log | None = None) -> InputDigests:

@@ -4,7 +4,7 @@ Names of topics, joints and sensors are matched first. Then the log itself tells
 units.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,8 +26,10 @@ from symbid_ros.offline.force_plates import PlateContacts, find_plate_contacts
 from symbid_ros.offline.log_corrections import LogCorrections
 from symbid_ros.offline.name_matching import joints_by_robot, match_names, most_similar
 from symbid_ros.offline.robot_setup_file import RobotSetup
+from symbid_ros.options import spelled
 from symbid_ros.signals.required_sensors import suggested_prefix
 from symbid_ros.signals.streams import JointStream, Streams
+from symbid_ros.signals.wheels import rolling_wheels, wheel_advice
 
 SPAN = 4 * 10**9  # ns of a log that show its names
 COMMAND_WORDS = "command", "cmd", "desired", "setpoint", "target"  # in names of topics
@@ -130,6 +132,7 @@ class _TopicMatcher:
     worlds: dict[str, str] = field(default_factory=dict)  # topics of poses by the world's frame
     plates: dict[str, str] = field(default_factory=dict)  # the world's frame by topics of wrenches
     fault: SymbidError | None = None  # why the first topic that is unusable is
+    wheels: list[str] = field(default_factory=list)  # that roll on the ground
 
     def match_joints(self) -> None:
         """Choose the topics of joint states, and match their joints."""
@@ -177,12 +180,20 @@ class _TopicMatcher:
                 f"CHECK: guessed from words and order: {', '.join(guesses)}. Correct wrong pairs.",
             )
         topics = self.setup.options["joint_topic"]
+        self.wheels = [name for one in topics for name in self._rolling(streams[one], chosen)]
         self._describe_joints(
             [name for topic in topics for name in streams[topic].names if name not in chosen]
         )
         for name in wanted:
             if name not in chosen.values():
                 self.setup.add("hold_joint", f"{name}:=0.0", "CHECK: these positions are guesses.")
+
+    def _rolling(self, joints: JointStream, chosen: Mapping[str, str]) -> list[str]:
+        """Return the model's wheels among the joints of a topic that roll on the ground."""
+        of_model = {joint.name: joint for joint in self.robot.joints}
+        places = [place for place, name in enumerate(joints.names) if name in chosen]
+        known = [of_model[chosen[joints.names[place]]] for place in places]
+        return rolling_wheels(joints.position[:, places], known)
 
     def _add_joint_topic(self, topic: str) -> None:
         self.setup.add("joint_topic", topic)
@@ -362,6 +373,8 @@ class _TopicMatcher:
         if len(odometry) == 1:
             self.setup.add("wheel_topic", odometry[0], "The base counts as fixed while it stands.")
             return
+        if self.wheels:
+            self.setup.note("wheel_topic", f"CHECK: {spelled(wheel_advice(self.wheels), str)}.")
         for topic in odometry or [each.name for each in self._of_type(IMU)]:
             self.setup.note("wheel_topic", f"If the base has wheels, {topic} may be given.")
 

@@ -1,5 +1,7 @@
 """`symbid init` finds flags of contacts, measured poses and the odometry of a wheeled base."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -8,6 +10,7 @@ from random_logs import LogPlan, random_streams, write_bag
 from random_robots import random_robot
 from scipy.spatial.transform import Rotation
 
+import symbid_ros as sy
 from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.messages.topics import Topic, TopicSelection
 from symbid_ros.messages.types import BOOL, ODOMETRY, POSE, fill_stamp, odometry_layout, pose_layout
@@ -133,6 +136,41 @@ def test_feet_without_sensors_are_named_instead_of_units(urdf, tmp_path):
     setup = inspect_robot(urdf, [record_log(log, model, tmp_path / "bag")])
     assert any("the log has no wrench at" in line for line in setup.comments[""])
     assert not {"effort_scale", "drive_gain"} & set(setup.options)
+
+
+def rolling_arm():
+    """Return an arm whose last joint is a wheel, and streams in which it rolls."""
+    arm = random_robot(3, links=3, floating=False, wrench_frames=0)
+    *others, last = arm.joints
+    wheel = replace(last, name="front_Wheel_joint", kind="revolute", lower=-np.inf, upper=np.inf)
+    arm = replace(arm, joints=(*others, wheel))
+    streams = random_streams(arm, LogPlan(rate=100.0, count=2000), 1)
+    joints = streams.joints
+    seconds = (joints.stamp - joints.stamp[0]) * 1e-9
+    position, velocity = joints.position.copy(), joints.velocity.copy()
+    position[:, -1] += 4.0 * seconds
+    velocity[:, -1] += 4.0
+    return arm, replace(streams, joints=replace(joints, position=position, velocity=velocity))
+
+
+def test_wheels_that_roll_on_the_ground_are_named(tmp_path, caplog):
+    arm, streams = rolling_arm()
+    (tmp_path / "arm.urdf").write_text(urdf_text(arm))
+    bag = write_bag(streams, tmp_path / "bag")
+    setup = inspect_robot(tmp_path / "arm.urdf", [bag])
+    (note,) = setup.comments["wheel_topic"]
+    assert "on the ground: front_Wheel_joint;" in note
+    assert "give wheel_topic" in note
+    for robot, is_named in ((arm, True), (arm_without_wheel(arm), False)):
+        caplog.clear()
+        sy.identify(robot, sy.load_bag(bag, robot), unchecked=True, no_holdout=True)
+        assert ("on the ground: front_Wheel_joint;" in caplog.text) is is_named
+
+
+def arm_without_wheel(arm):
+    """Return the arm with an end of its last joint's range, far away."""
+    *others, last = arm.joints
+    return replace(arm, joints=(*others, replace(last, lower=-500.0, upper=500.0)))
 
 
 def test_the_odometry_of_a_wheeled_base_is_listed(tmp_path):
