@@ -182,6 +182,8 @@ def _optional(read: Callable[[Any], Read], value: Any) -> Read | None:
 
 def _provenance(document: dict[str, Any]) -> Provenance:
     inputs = tuple(InputFile(**one) for one in document["inputs"])
+    if not isinstance(document["options"], dict):
+        raise TypeError("the provenance's options are not a mapping")
     return Provenance(**(document | {"inputs": inputs}))
 
 

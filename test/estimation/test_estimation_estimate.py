@@ -162,6 +162,7 @@ def with_entry(value, *path):
         (with_entry(3, "parameters"), "values"),
         (with_entry(1, "verdict", "unknown"), "unknown"),
         (with_entry([{"name": "base/m"}], "verdict", "base"), "unit"),
+        (with_entry({"inputs": [], "options": [1]}, "provenance"), "options are not a mapping"),
         (with_entry(None, "parameters", "leg/m", "value"), "value of leg/m is not finite"),
         (
             with_entry(float("inf"), "parameters", "base/m", "prior"),
