@@ -26,7 +26,7 @@ from symbid_ros.offline.force_plates import PlateContacts, find_plate_contacts
 from symbid_ros.offline.log_corrections import LogCorrections
 from symbid_ros.offline.name_matching import joints_by_robot, match_names, most_similar
 from symbid_ros.offline.robot_setup_file import RobotSetup
-from symbid_ros.options import spelled
+from symbid_ros.options import robot_file_line, spelled
 from symbid_ros.signals.required_sensors import suggested_prefix
 from symbid_ros.signals.streams import JointStream, Streams
 from symbid_ros.signals.wheels import rolling_wheels, wheel_advice
@@ -166,9 +166,11 @@ class _TopicMatcher:
             guesses += guessed
             chosen |= pairs
         if not chosen:
+            recorded = next((name for one in streams.values() for name in one.names), "NAME")
             raise DataError(
                 f"{join_names(self.bags)}: no joint of {', '.join(streams)} resembles a joint of "
-                f"{self.robot.source}; give the model of this robot",
+                f"{self.robot.source}; give the model of this robot, or write the pairs yourself: "
+                + robot_file_line("rename_joint", f"{recorded}:={wanted[0]}"),
                 "E306",
             )
         for recorded, name in chosen.items():

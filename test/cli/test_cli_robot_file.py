@@ -12,6 +12,7 @@ from arm_log import arm_streams, without_load
 from bag_editing import Messages, edit_bag
 from documented_robots import ur5_urdf
 from drive_logs import drives, light_wrist, log_of
+from expected_errors import raises_code
 from foreign_bags import joint_state, joints_only, write_rosbags
 from hypothesis import given
 from hypothesis import strategies as st
@@ -715,3 +716,9 @@ def test_a_reversed_sensor_is_found_in_the_frame_of_a_link(log, tmp_path) -> Non
     assert setup.options["flip_wrench"] == [link]
     assert setup.diagnosis is not None
     assert not setup.diagnosis.findings
+
+
+def test_a_log_whose_names_resemble_no_joint_is_told_how_to_name_pairs(tmp_path):
+    bag = joints_only(tmp_path / "bag", *(joint_state(n, ["qq", "xx"], [0, 0]) for n in (1, 2)))
+    with raises_code("E306", r'rename_joint: \["qq:=shoulder_pan_joint"\] in robot\.yaml'):
+        inspect_robot(Path(ur5_urdf()), [bag])
