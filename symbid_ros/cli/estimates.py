@@ -18,6 +18,7 @@ from symbid_ros.cli.flags import (
     require_model,
     with_flags,
 )
+from symbid_ros.cli.validate import as_identified
 from symbid_ros.cli.verbosity import progress_shown
 from symbid_ros.errors import EstimateError, PriorError
 from symbid_ros.identification.options import IdentifyOptions
@@ -259,7 +260,8 @@ def report(
 ) -> None:
     """Write a report on one or several identifications as a self-contained page.
 
-    Results of one robot may differ in method, log and joint terms.
+    Results of one robot may differ in method, log and joint terms. Without --truth, the bag is read
+    like those of the identifications, as far as these agree.
     """
     from symbid_ros.atomic_write import check_output_file
     from symbid_ros.identification.predictions.evaluation import check_true_robot
@@ -288,6 +290,8 @@ def report(
             out = folders[-1] / "report.html"
             check_output_file(out, is_page)
         shown = found[-1]
+        if bag and truth is None:
+            log = as_identified(log, folders)
         recording = load_bag(bag, shown.parameters.model, log) if bag else None
         ground_truth = None
         if recording is not None and truth is None:

@@ -330,7 +330,8 @@ class TopicSelector:
             return f"record one of type {' or '.join(msgtypes)}, or leave `{option}` out"
         suitable = f"{usable[0]}:=FRAME" if option == "contact_flag" else usable[0]
         if option in self.selection.mapping.of_robot:
-            return f"name one of that type, such as {robot_file_line(option, suitable)}"
+            line = robot_file_line(option, suitable)
+            return f"name one of that type by `{option}`, or write {line}"
         return f"name one of that type, such as `{option}` {suitable}"
 
     def _remedy(self) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from arm_log import arm_streams
 from documented_robots import ur5_urdf
-from foreign_bags import joint_state, joints_only
+from foreign_bags import JOINT_STATE, joint_state, joints_only, write_rosbags
 from json_schemas import require_valid
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -187,6 +187,31 @@ def test_a_joint_that_neither_log_has_is_held_as_in_the_identification(
     ranked = symbid_here("compare", *[wristless_result] * 2, "--bag", wristless[1], *held)
     assert ranked.returncode < 2, ranked.stderr
     assert ranked.stderr.count(f"has no joint {WRIST}, held at 0") == (not held)
+
+
+def test_bags_are_read_like_that_of_the_identification(symbid_here, tmp_path) -> None:
+    """Topics and names need not be given again."""
+    arm = load_model(ur5_urdf(), "fixed")
+    bags = []
+    for seed in (1, 2):
+        joints = arm_streams(arm, 12.0, seed, friction=0.05).joints
+        names = [f"axis_{place}" for place in range(len(joints.names))]
+        rows = zip(joints.stamp, joints.position, joints.velocity, joints.effort, strict=True)
+        messages = [
+            ("/arm/measured", JOINT_STATE, joint_state(int(stamp), names, *row))
+            for stamp, *row in rows
+        ]
+        bags.append(write_rosbags(tmp_path / f"bag_{seed}", messages))
+    named = [f"--rename-joint=axis_{place}:={name}" for place, name in enumerate(arm.joint_names)]
+    result = tmp_path / "result"
+    options = ("--base", "fixed", "--joint-terms", "viscous,coulomb", "--no-holdout")
+    options += ("--joint-topic", "/arm/measured", *named, "--out", result)
+    ended = symbid_here("identify", bags[0], "--model", ur5_urdf(), *options)
+    assert ended.returncode < 2, ended.stderr
+    for command in ("validate", "compare", "report"):
+        ended = symbid_here(command, result, "--bag", bags[1])
+        assert ended.returncode < 2, ended.stderr
+    assert ended.stdout == f"wrote {result / 'report.html'}\n"
 
 
 def test_a_log_that_was_read_without_a_robot_is_one_of_the_robot_it_is_used_with(
