@@ -37,6 +37,7 @@ UNITS = {one.key: one.unit for one in (*METRICS, *REALISTIC_METRICS)} | {
     "com_coverage": "of the true values",
     "torque_coverage": "of the true values",
 }
+NARROW = 60  # columns, below which names of streams would break into single letters
 SHOWN = 20  # number of lost ranges to print; --json gives all
 
 
@@ -198,21 +199,7 @@ STYLES = {Severity.CLEAN: "green", Severity.WARNING: "yellow", Severity.UNUSABLE
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """Print a log's streams, the findings and the verdict."""
     console = Console(highlight=False)
-    table = Table()
-    table.add_column("stream", overflow="fold")
-    for name in ("count", "Hz", "gaps", "gap s"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("verdict", overflow="fold")
-    for stream in diagnosis.streams:
-        table.add_row(
-            Text(stream.topic),
-            str(stream.messages),
-            f"{stream.rate_hz:.4g}",
-            str(stream.gaps),
-            f"{stream.longest_gap_s:.3g}",
-            _verdict(diagnosis.of(stream.topic)),
-        )
-    console.print(table)
+    _print_streams(console, diagnosis)
     # Rich does not wrap these lines, so that a pipe receives them complete.
     for finding in diagnosis.findings:
         line = Text(f"{finding.kind.value}: ", style=STYLES[finding.severity])
@@ -225,12 +212,43 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     console.print(Text(verdict, style=STYLES[severity]))
 
 
-def _verdict(findings: tuple[Finding, ...]) -> Text:
+def _print_streams(console: Console, diagnosis: Diagnosis) -> None:
+    """Print a line for each stream; on a narrow terminal, columns continue below."""
+    headers = ("count", "Hz"), ("gaps", "gap s")
+    is_narrow = console.width < NARROW
+    rows: list[tuple[str, list[Text | str]]] = [
+        (
+            one.topic,
+            [
+                str(one.messages),
+                f"{one.rate_hz:.4g}",
+                str(one.gaps),
+                f"{one.longest_gap_s:.3g}",
+                _verdict(diagnosis.of(one.topic), "\n" if is_narrow else ", "),
+            ],
+        )
+        for one in diagnosis.streams
+    ]
+    if is_narrow:
+        print_table(console, "stream", [*headers, ("verdict",)], rows, style=box.HEAVY_HEAD)
+        return
+    table = Table()
+    table.add_column("stream", overflow="fold")
+    for name in (*headers[0], *headers[1]):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("verdict", overflow="fold")
+    for name, cells in rows:
+        table.add_row(Text(name), *cells)
+    console.print(table)
+
+
+def _verdict(findings: tuple[Finding, ...], separator: str) -> Text:
     """Return the kinds of findings on one stream."""
     if not findings:
         return Text("clean", style="green")
     worst = max(one.severity for one in findings)
-    return Text(", ".join(dict.fromkeys(one.kind.value for one in findings)), style=STYLES[worst])
+    kinds = dict.fromkeys(one.kind.value for one in findings)
+    return Text(separator.join(kinds), style=STYLES[worst])
 
 
 def print_estimate(estimate: Estimate, out: Path, files: Sequence[str]) -> None:

@@ -1,6 +1,7 @@
 """What commands print fits a terminal and arrives complete in a pipe."""
 
 import io
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from rich.box import HEAVY_HEAD
 from rich.console import Console
 
 from symbid_ros.cli.fitted_tables import print_table
-from symbid_ros.cli.tables import metrics_table, print_estimate
+from symbid_ros.cli.tables import metrics_table, print_diagnosis, print_estimate
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, StreamFigures
 from symbid_ros.report.content import METRICS, MethodResult
 
 ALARMS = ("the data would have the prior 9.0 times wider: a sensor's calibration is wrong",)
@@ -165,3 +167,20 @@ class TestMetricsTable:
     def test_a_missing_metric_is_a_dash(self) -> None:
         line = next(line for line in self.printed().splitlines() if "unmeasured" in line)
         assert line.split()[1:] == ["—"] * 5
+
+
+@pytest.mark.parametrize("width", [40, 59, 80])
+def test_streams_keep_their_names_and_verdicts(width, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    topic = "/arm/joint_states"
+    found = [Finding.of(topic, kind, "it is wrong", {}) for kind in (Kind.DISORDER, Kind.DUPLICATE)]
+    stream = StreamFigures(topic, 8000, 40.0, 200.0, 0.0, 3, 4, 0.125)
+    print_diagnosis(Diagnosis("log", (stream,), tuple(found), {}, ()))
+    lines = capsys.readouterr().out.splitlines()
+    assert (
+        max(map(len, lines[: lines.index(next(one for one in lines if "it is" in one))])) <= width
+    )
+    shown = re.split(r"[\s│┃]+", " ".join(lines))
+    assert topic in shown
+    assert {"8000", "200", "3", "0.125"} <= set(shown)
+    assert {"disorder", "duplicate"} <= {word.strip(",") for word in shown}
