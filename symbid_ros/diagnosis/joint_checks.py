@@ -1,6 +1,6 @@
 """Compares joint positions with their velocities and with the model's limits."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -292,11 +292,31 @@ class JointCheck:
                     Severity.UNUSABLE if is_fatal else Severity.WARNING,
                 )
             )
+        found += self._held_findings(joints)
         driven = [i for i in driven if self._has_effort[i] and i not in stuck]
         found += self._unsigned_findings(driven)
         found += self._noise_findings(driven)
         incomplete = [i for i in driven if self._without_effort[i]]
         return found + list(self._absent("effort", incomplete, Severity.WARNING))
+
+    def _held_findings(self, joints: Mapping[str, Joint]) -> Iterator[Finding]:
+        """Yield a finding about driven joints that the log lacks, which is no fault of a driver."""
+        places = [
+            i
+            for i, name in enumerate(self.names)
+            if name in self._held and name in joints and joints[name].effort > 0
+        ]
+        if places:
+            rows = "its row" if len(places) == 1 else "their rows"
+            moving = "it if it moves" if len(places) == 1 else "them if they move"
+            yield Finding.of(
+                self.topic,
+                Kind.MISSING_JOINT,
+                f"the log lacks {self._list_names(places)}, so {rows} of the equation of motion "
+                f"cannot be used; record {moving}",
+                {"joints": len(places)},
+                Severity.WARNING,
+            )
 
     def _unsigned_findings(self, driven: list[int]) -> Iterator[Finding]:
         """Yield a finding if efforts of all joints that move both ways have one sign.

@@ -277,7 +277,9 @@ def test_joint_that_the_model_has_and_the_log_lacks(judged) -> None:
         one for one in judged({JOINTS: operation}).findings if one.kind is Kind.MISSING_JOINT
     ]
     assert len(missing) == 1
-    assert "the effort of R_haa is in no message" in missing[0].message
+    # No driver could fill its effort.
+    assert "the log lacks R_haa, so its row" in missing[0].message
+    assert "JointState" not in missing[0].message
 
 
 def test_joint_that_the_model_does_not_have(judged) -> None:
