@@ -200,7 +200,8 @@ class ExtendedProblem:
 
     def with_row(self, row: FloatArray, target: float) -> "ExtendedProblem":
         """Return the problem with one more pseudo-measurement."""
-        rows = _with_row(self.problem.pseudo_measurements, row, target)
+        one = PseudoMeasurements(row[None], np.array([target]))
+        rows = stacked(self.problem.pseudo_measurements, one)
         return replace(self, problem=replace(self.problem, pseudo_measurements=rows))
 
     def with_closure(
@@ -425,15 +426,6 @@ def _final_rows(
         NOISY_CHANNELS,
         candidates=build.parameters.candidates,
     )
-
-
-def _with_row(
-    rows: PseudoMeasurements | None, row: FloatArray, target: float
-) -> PseudoMeasurements:
-    """Return pseudo-measurements with one more row."""
-    if rows is None:
-        return PseudoMeasurements(row[None], np.array([target]))
-    return PseudoMeasurements(np.vstack([rows.rows, row]), np.append(rows.targets, target))
 
 
 def padded(rows: PseudoMeasurements | None, count: int) -> PseudoMeasurements | None:
