@@ -19,6 +19,7 @@ from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
 from symbid_ros.signals.required_sensors import (
     contact_flag_faults,
     missing_imu,
+    with_only_imu_frame,
     wrist_sensor_faults,
 )
 from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
@@ -212,6 +213,10 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
                 {"joints": len(unknown)},
             )
         )
+    streams, warning = with_only_imu_frame(streams, model)
+    if warning:
+        topic = streams.imus[0].topic
+        found.append(Finding(Kind.UNKNOWN_FRAME, topic, Severity.WARNING, warning))
     sensors: list[ImuStream | WrenchStream] = [
         *(streams.imus if model.floating else ()),
         *streams.wrenches,

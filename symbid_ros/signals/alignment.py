@@ -21,7 +21,7 @@ from symbid_ros.signals.defects import typical_period
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
 from symbid_ros.signals.end_stops import at_end_stops
 from symbid_ros.signals.joint_clock import sampled_joints
-from symbid_ros.signals.required_sensors import check_sensors
+from symbid_ros.signals.required_sensors import check_sensors, with_only_imu_frame
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.splines import interpolating_spline
 from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
@@ -129,6 +129,9 @@ def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     """
     # Frames of another robot's sensors are missing as well: its joints tell that it is another one.
     joint_columns(streams.joints.names, model, f"{streams.source}: {streams.joints.topic}")
+    streams, warning = with_only_imu_frame(streams, model)
+    if warning:
+        logger.warning("%s: %s", streams.source, warning)
     check_sensors(streams, model)
     return align(streams, model)
 

@@ -1,6 +1,7 @@
 """Checks that a log has the sensors and the frames that a model needs."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from symbid_ros.dynamics.unmeasured_contacts import MOST_FLAGGED, touched_frame
 from symbid_ros.errors import DataError, ModelError
@@ -101,7 +102,7 @@ def _check_frame(
     except ModelError as error:
         prefix = suggested_prefix(frame, model)
         if not prefix:
-            likely = _likely_imu_frame(model) if isinstance(sensor, ImuStream) else ""
+            likely = _only_imu_frame(model) if isinstance(sensor, ImuStream) else ""
             pair = f"{frame}:={likely or 'NAME'}"
             if_so = f" if it is mounted as {likely} is" if likely else ""
             raise ModelError(
@@ -117,15 +118,39 @@ def _check_frame(
         ) from error
 
 
-def _likely_imu_frame(model: RobotModel) -> str:
+def with_only_imu_frame(streams: Streams, model: RobotModel) -> tuple[Streams, str]:
+    """Return streams whose only IMU has the model's only frame of an IMU, and a warning.
+
+    The streams are the same, and the warning is empty, if the model has the IMU's own frame, if the
+    choice is not unique, or if arrays name their frames themselves.
+    """
+    frame = _only_imu_frame(model)
+    if not frame or not model.floating or streams.is_arrays or len(streams.imus) != 1:
+        return streams, ""
+    (imu,) = streams.imus
+    if imu.frame_id in _frame_names(model) or suggested_prefix(imu.frame_id, model):
+        return streams, ""
+    pair = f"{imu.frame_id}:={frame}"
+    warning = (
+        f"{imu.topic}: the model has no frame {imu.frame_id!r}, so the readings "
+        f"are assumed to be in the axes of {frame}, the model's only frame of an IMU; give "
+        f"`rename_frame` {pair} if that is right, or correct header.frame_id"
+    )
+    return replace(streams, imus=(replace(imu, frame_id=frame),)), warning
+
+
+def _only_imu_frame(model: RobotModel) -> str:
     """Return the only frame or link that is named after an IMU; empty if there is none."""
-    known = {*(one.name for one in model.frames), *model.link_names}
-    named = [name for name in known if "imu" in name.lower()]
+    named = [name for name in _frame_names(model) if "imu" in name.lower()]
     return named[0] if len(named) == 1 else ""
+
+
+def _frame_names(model: RobotModel) -> set[str]:
+    return {*(one.name for one in model.frames), *model.link_names}
 
 
 def suggested_prefix(frame: str, model: RobotModel) -> str:
     """Return the prefix of a sensor's frame without which the model has it; empty if none."""
-    known = {*(one.name for one in model.frames), *model.link_names}
+    known = _frame_names(model)
     cuts = [index + 1 for index, letter in enumerate(frame) if letter == "/"]
     return next((frame[:cut] for cut in cuts if frame[cut:] in known), "")

@@ -300,10 +300,13 @@ def test_joints_in_another_order(judged) -> None:
     assert 0.5 < found.figures["share"] < 0.7
 
 
-@pytest.mark.parametrize("topic", [IMU, LEFT])
-def test_unknown_frame(judged, topic) -> None:
+@pytest.mark.parametrize(
+    ("topic", "severity"), [(IMU, Severity.WARNING), (LEFT, Severity.UNUSABLE)]
+)
+def test_unknown_frame(judged, topic, severity) -> None:
+    """The only IMU is assumed to have the model's only frame of an IMU."""
     found = judged({topic: lambda messages: messages.reframe("nowhere")})
-    only(found, Kind.UNKNOWN_FRAME, topic, Severity.UNUSABLE)
+    only(found, Kind.UNKNOWN_FRAME, topic, severity)
 
 
 def test_rate(judged) -> None:

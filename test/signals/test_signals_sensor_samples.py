@@ -189,11 +189,27 @@ class TestAlignment:
         lost = replace(streams.imus[0], frame_id="head")
         (imu,) = {one.name for one in model.frames if "imu" in one.name}
         with raises_code("E308", f"rename_frame` head:={imu} if it is mounted as {imu} is"):
-            samples_of(replace(streams, imus=(lost,)), model, UNFILTERED)
+            samples_of(replace(streams, imus=(lost, lost)), model, UNFILTERED)
         with raises_code("E317", "600"):
             samples_of(streams, model, LowPass(600))
         with raises_code("E317", "-1"):
             LowPass(-1)
+
+
+def test_the_only_imu_has_the_only_imu_frame_of_the_model(caplog):
+    model = random_robot(3, links=4, floating=True, wrench_frames=1)
+    streams, _ = streams_of(TreeSimulation(model, 1.0, 3))
+    (imu,) = streams.imus
+    foreign = replace(streams, imus=(replace(imu, frame_id="head"),))
+    (expected,), (found,) = align_checked(streams, model), align_checked(foreign, model)
+    assert found.imu_frames == expected.imu_frames == (imu.frame_id,)
+    np.testing.assert_array_equal(found.linear_acceleration, expected.linear_acceleration)
+    assert f"give `rename_frame` head:={imu.frame_id} if that is right" in caplog.text
+    with raises_code("E308", "'head'"):
+        align_checked(replace(foreign, is_arrays=True), model)
+    another = replace(model.frame(imu.frame_id), name="second_imu")
+    with raises_code("E308", "head:=NAME"):
+        align_checked(foreign, replace(model, frames=(*model.frames, another)))
 
 
 def readings(count, joints=2, imus=1, wrenches=1):
