@@ -14,10 +14,11 @@ from symbid_ros.signals.streams import TimeRange
 
 @dataclass
 class ClockJumps:
-    """Moves stamps that follow a jump back behind those before it.
+    """Shifts the stamps after a backward jump so that they follow those before it.
 
-    The requested part must end before the jump or begin after it. All topics move by the same whole
-    seconds, so that they keep their relation and `start` and `stop` count on.
+    The requested part must end before the jump or begin after it. The stamps of all topics are
+    shifted by the same whole seconds, which keeps the topics aligned. `start` and `stop` still
+    count from the first joint state.
 
     Attributes
     ----------

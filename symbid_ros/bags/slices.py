@@ -43,8 +43,8 @@ from symbid_ros.signals.streams import WHOLE_LOG, Slice, TimeRange
 
 # Bytes to buffer for a topic that lags, because it is silent or recorded with a delay.
 MAX_BUFFERED = 256 << 20
-# Longest slice, ns, of logs with a higher rate of joint states, Hz: it takes less memory. At lower
-# rates it would cut the blocks that give rows.
+# To save memory, slices of logs with a higher rate of joint states than HIGH_RATE, Hz, last at most
+# SHORT_SPAN, ns. At low rates, blocks of rows last up to 20 s, and a slice must hold whole blocks.
 SHORT_SPAN, HIGH_RATE = 12_000_000_000, 200.0
 
 DEFAULT_SELECTION = TopicSelection()
@@ -389,9 +389,10 @@ class ReorderBuffer:
         for batch in self.decoder.batches:
             sent[batch.index - first] = read_stamp(batch.records)
         recorded, topic = sent + shift, self.decoder.topic.name
-        if jumps is not None:
+        if jumps is None:
+            check_clock(self.decoder.source, topic, np.append(self._last, recorded))
+        else:
             recorded = jumps.continued(topic, self._last, recorded)
-        check_clock(self.decoder.source, topic, np.append(self._last, recorded))
         for batch in self.decoder.batches:
             places = batch.index - first
             stamps = recorded[places]
@@ -439,7 +440,8 @@ class ReorderBuffer:
 
     def count_between(self, start: int, stop: int) -> int:
         """Return the number of buffered messages with stamps from ``start`` up to ``stop``, ns."""
-        return int(np.count_nonzero((self.stamps >= start) & (self.stamps < stop)))
+        stamps = self.stamps
+        return int(np.count_nonzero((stamps >= start) & (stamps < stop)))
 
     def drop_before(self, stamp: int) -> None:
         """Drop messages older than ``stamp``, ns."""

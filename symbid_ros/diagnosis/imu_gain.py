@@ -24,7 +24,7 @@ ACCELEROMETER_ERROR = 0.006
 # Calibrated gyroscopes differ by less than 1 %. Soft soles and rolling feet explain 5 %.
 GYROSCOPE_ERROR = 0.05
 DEVIATIONS = 5.0
-# Share of gravity that no gain of an accelerometer with a plausible mean reading leaves.
+# A mean specific force below this share of gravity is not a gain error: gravity was removed.
 LEAST_OF_GRAVITY = 0.5
 # Half-overlapped windows: each mean counts for this share.
 INDEPENDENT = 0.75

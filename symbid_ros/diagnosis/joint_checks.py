@@ -300,7 +300,7 @@ class JointCheck:
         return found + list(self._absent("effort", incomplete, Severity.WARNING))
 
     def _held_findings(self, joints: Mapping[str, Joint]) -> Iterator[Finding]:
-        """Yield a finding about driven joints that the log lacks, which is no fault of a driver."""
+        """Yield a finding that names the driven joints that are missing from the log."""
         places = [
             i
             for i, name in enumerate(self.names)

@@ -124,7 +124,7 @@ class ChangeCounts:
     runs : list of (int, int)
         First and last stamp, ns, of every run without a change.
     jumps, resumptions : int
-        Runs after which a position jumped, and after which it went on from where it was.
+        Runs after which a position jumped, and after which it continued from the same value.
     continues : bool
         Whether the position stopped abruptly, up to the end of the last slice.
     """
@@ -141,8 +141,8 @@ class ChangeCounts:
     def is_frozen(self) -> bool:
         """Whether the reading changes often enough outside the runs to call them frozen.
 
-        A joint that sticks stops abruptly too. Afterwards it goes on from where it was, whereas the
-        reading of an encoder that was frozen jumps, unless the joint happens to be back.
+        A sticking joint also stops abruptly, but then continues from the same position. The reading
+        of a frozen encoder jumps, unless the joint happens to have returned.
         """
         others = self.messages - self.frozen_messages
         changes_often = self.changes >= max(LEAST_CHANGES * others, FEWEST_REPEATS)

@@ -119,7 +119,7 @@ def _check_frame(
 
 
 def with_only_imu_frame(streams: Streams, model: RobotModel) -> tuple[Streams, str]:
-    """Return streams whose only IMU has the model's only frame of an IMU, and a warning.
+    """Return streams in which the only IMU has the model's only IMU frame, and a warning.
 
     The streams are the same, and the warning is empty, if the model has the IMU's own frame, if the
     choice is not unique, or if arrays name their frames themselves.

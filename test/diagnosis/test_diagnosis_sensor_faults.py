@@ -78,7 +78,7 @@ HOLDS = (np.arange(COUNT) + 200) % 400 < 120  # 0.12 s each
 
 
 def test_a_joint_that_sticks_is_not_frozen(streams) -> None:
-    """It stops within a message, as a servo does at slow speed, and goes on from there."""
+    """A slow servo stops between two messages and later continues from the same position."""
     streams.joints.position[:, 0] = 0.01 * np.cumsum(~HOLDS * np.sin(np.arange(COUNT) * 2e-2))
     assert mask_faulty_messages(streams)[1] == ()
 

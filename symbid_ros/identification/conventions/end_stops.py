@@ -28,8 +28,8 @@ logger = logging.getLogger(__name__)
 EVIDENCE = 50.0
 # A joint that is at an end for a larger share of the log has other limits than the file states.
 MOST = 0.5
-# Blocks in which joints are at ends, and which are compared beside some others: so many, and more
-# until each end has its number.
+# At least BLOCKS blocks with a joint at an end are compared, and more until each end occurs in
+# BLOCKS_OF_END of them. Some other blocks are compared as well.
 BLOCKS, BLOCKS_OF_END = 16, 4
 LOOSE = 30.0  # prior deviation of a stop's force, in efforts of the joint
 UPPER, LOWER = 1, -1

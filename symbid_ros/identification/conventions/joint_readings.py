@@ -243,7 +243,7 @@ def find_readings(segments: Iterable[Segment], robot: RobotModel) -> JointReadin
     first = rows.fit()
     if (together := _reversed_together(log, first)) is not None:
         return together
-    # No row would have to explain an effort that is exchanged with that of a joint at rest.
+    # A joint at rest has no rows, so no residual would contradict an exchange with its effort.
     moving = tuple(index for index in log.moving if rows.has_rows[index])
     if not moving:
         return None

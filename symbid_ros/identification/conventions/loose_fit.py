@@ -143,9 +143,10 @@ class LooseRows:
 
     @cached_property
     def variation_cost(self) -> float:
-        """Cost of the constants that fit the efforts best.
+        """Cost of fitting each coordinate's efforts by a constant.
 
-        Without it, rows with other efforts compare like the shares that they leave unexplained.
+        Subtracting it makes the costs of different efforts comparable: what remains depends on the
+        share of the variation that a fit leaves unexplained.
         """
         count = np.maximum(self.valid.sum(axis=0), 1)
         y = np.where(self.valid, self.y, 0.0)
