@@ -106,6 +106,7 @@ def identify(
         RESULT_FILES,
         write_identification,
     )
+    from symbid_ros.identification.rows.reading_process import reading_processes
     from symbid_ros.offline.bags import BagRequest
 
     require_no_files(out, (*RESULT_FILES, *CALIBRATED), overwrite=overwrite)
@@ -113,7 +114,7 @@ def identify(
     if dask is None:
         require_no_urls(bags)
         request = request.completed()
-        with progress_shown():
+        with progress_shown(), reading_processes():
             problem = request.load(out)
             problem, found = identify_problem(problem)
     else:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import Enum, IntEnum
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -113,7 +112,7 @@ class Finding:
     stream: str
     severity: Severity
     message: str
-    figures: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    figures: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(

@@ -47,7 +47,7 @@ from symbid_ros.identification.prior_options import (
 from symbid_ros.identification.problem import Truncation
 from symbid_ros.identification.problem_setup import ProblemSetup, first_factors
 from symbid_ros.identification.result_files import check_output
-from symbid_ros.identification.rows.dataset import Dataset, Processing
+from symbid_ros.identification.rows.dataset import Dataset
 from symbid_ros.identification.rows.fast_motion import with_fast_motion
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.stored_information import check_layout, columns_of, with_columns
@@ -222,7 +222,6 @@ def load_problem(
     other = next(iter(open_logs(chosen_on, log)), None)
     for _, text in options.loaded_logs:
         Payload.parse(text, robot)
-    digests = _digests(robot, options, log)
     watch = None
     if read is None:
         watch = _watch(options, parameters, prior)
@@ -232,6 +231,8 @@ def load_problem(
     corrected = _corrected(options, parameters, dataset)
     if corrected is not options:
         return load_problem(robot, log, corrected, out, read)
+    # Only now, because a program with threads may not be copied for reading.
+    digests = _digests(robot, options, log)
     if read is None:
         checks = _check(dataset, streams, options, parameters, prior, watch=watch)
     require_rows(dataset, parameters.model)
@@ -342,10 +343,10 @@ def _check_sizes(options: IdentifyOptions, parameters: ParameterSet) -> None:
 
 
 def _watch(options: IdentifyOptions, parameters: ParameterSet, prior: Prior) -> ModelWatch | None:
-    """Return what checks a log against the model while it is read, if that saves time."""
+    """Return what compares a log with the model while it is read; None if nothing does so."""
     robot = _expected_robot(parameters, prior)
-    is_needed = not options.unchecked and not options.drive_gains and robot.contacts is None
-    return ModelWatch(robot) if is_needed and Processing.of(options).jobs > 1 else None
+    is_compared = not options.unchecked and not options.drive_gains and robot.contacts is None
+    return ModelWatch(robot) if is_compared else None
 
 
 def _expected_robot(parameters: ParameterSet, prior: Prior) -> RobotModel:

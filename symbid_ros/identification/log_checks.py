@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Collection, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,7 +20,7 @@ from symbid_ros.diagnosis.findings import (
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
-from symbid_ros.errors import DataError
+from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.identification.calibration.extended_problem import Mounting
 from symbid_ros.identification.calibration.tares import Tare
 from symbid_ros.identification.conventions.joint_readings import find_common_reversal, find_readings
@@ -98,7 +97,7 @@ NO_CHECKS = LogChecks()
 
 
 class ModelWatch:
-    """Collects what a log says about the model; if called, in a thread while the log is read.
+    """Collects what a log says about the model, while it is read or later.
 
     Parameters
     ----------
@@ -109,26 +108,24 @@ class ModelWatch:
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
         self._statistics: ModelStatistics | None = None
-        self._pool = ThreadPoolExecutor(1, "checks")
-        self._added: Future[None] | None = None
-
-    def add(self, segment: Segment) -> None:
-        """Add a segment."""
-        if self._statistics is None:
-            frames = segment.wrench_frames, segment.imu_frames
-            self._statistics = ModelStatistics(self._robot, *frames)
-        self._statistics.add(segment)
+        self._error: SymbidError | None = None
 
     def __call__(self, segment: Segment) -> None:
-        """Add a segment in the thread, once the one before has been added."""
-        if self._added is None or self._added.exception() is None:
-            self._added = self._pool.submit(self.add, segment)
+        """Add a segment, unless one before it was unusable."""
+        if self._error is not None:
+            return
+        try:
+            if self._statistics is None:
+                frames = segment.wrench_frames, segment.imu_frames
+                self._statistics = ModelStatistics(self._robot, *frames)
+            self._statistics.add(segment)
+        except SymbidError as error:
+            self._error = error
 
     def statistics(self) -> ModelStatistics | None:
-        """Return the statistics of all segments; errors that occurred are raised here."""
-        if self._added is not None:
-            self._added.result()
-        self._pool.shutdown()
+        """Return the statistics of all segments; an error that occurred is raised here."""
+        if self._error is not None:
+            raise self._error
         return self._statistics
 
 
@@ -233,7 +230,7 @@ def _model_statistics(
     if watch is None:
         watch = ModelWatch(robot)
         for segment in dataset.segments:
-            watch.add(segment)
+            watch(segment)
     return watch.statistics()
 
 

@@ -296,7 +296,7 @@ class IdentifyOptions(RobotOptions):
     )
     jobs: int | None = option(
         None,
-        "Number of threads. The result is the same for any number.",
+        "Number of cores to use. The result is the same for any number.",
         minimum=1,
         unset="one per CPU core",
     )

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from analytic_log import analytic_segment
 from bag_editing import Messages, edit_bag
+from random_robots import random_robot
 
 from symbid_ros.bags import bag_log
 from symbid_ros.errors import BagError, DataError
@@ -14,8 +16,10 @@ from symbid_ros.identification.rows import dataset
 from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.alignment import align
+from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.streams import TimeRange
 from symbid_ros.signals.weak_form import BLOCK
@@ -73,6 +77,15 @@ def test_a_log_is_read_once_and_kept_in_memory_or_in_a_file(model, bag: Path, tm
         assert again[0].frames == whole.frames
         assert all(one.effort.flags.writeable for one in again)
     assert next(iter(logs[-1])).stamp[0] == whole.stamp[0]
+
+
+def test_segments_without_wrenches_are_kept_in_a_file() -> None:
+    arm = random_robot(3, links=4, floating=False, wrench_frames=0)
+    exact = analytic_segment(ParameterSet(arm), 9.0, 3, rate=103.0)
+    log = Log.from_arrays(arm, time=exact.stamp, position=exact.position, effort=exact.effort)
+    in_file = AlignedLog(log, arm, span=BLOCK, most_kept=0)
+    assert_equal(joined(in_file), joined(in_file))
+    assert joined(in_file)["wrenches"].shape[1:] == (0, 6)
 
 
 def test_without_room_for_a_file_a_log_is_read_again(

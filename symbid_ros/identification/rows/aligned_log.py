@@ -10,6 +10,7 @@ from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError
 from symbid_ros.identification.rows.folding_pool import read_ahead
+from symbid_ros.identification.rows.reading_process import read_in_process
 from symbid_ros.identification.rows.segment_store import SegmentStore
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import align_checked, warn_once
@@ -50,6 +51,8 @@ class AlignedLog:
         Receives every segment when it is first read.
     jobs : int
         With more than one, the next segment is read by a thread while one is used.
+    in_process : bool
+        Whether a process of its own reads the log instead.
     warns : bool
         Whether faults and what is left out are logged.
 
@@ -69,12 +72,13 @@ class AlignedLog:
         checks: StreamChecks | None = None,
         watch: Callable[[Segment], None] | None = None,
         jobs: int = 1,
+        in_process: bool = False,
         warns: bool = True,
     ) -> None:
         self._log, self._model = log.of_robot(model), model
         self._span, self._most_kept = span, most_kept
         self._checks, self._watch, self._jobs = checks, watch, jobs
-        self._warns = warns
+        self._in_process, self._warns = in_process, warns
         self._kept: SegmentStore | None = None
         self._has_been_read = False
 
@@ -82,20 +86,18 @@ class AlignedLog:
         if self._kept is not None:
             yield from self._kept
             return
-        kept: SegmentStore | None = SegmentStore(self._most_kept)
+        store = SegmentStore(self._most_kept)
         segments = self._read(warn=self._warns and not self._has_been_read)
-        for segment in read_ahead(segments) if self._jobs > 1 else segments:
+        if self._in_process:
+            segments = read_in_process(self._log.source, segments, store, self._checks)
+        else:
+            segments = store.keep(read_ahead(segments) if self._jobs > 1 else segments)
+        for segment in segments:
             if self._watch is not None and not self._has_been_read:
                 self._watch(segment)
-            try:
-                if kept is not None:
-                    kept.add(segment)
-            except OSError as error:
-                logger.info("%s: the log is read again for each step", error)
-                kept = None
             yield segment
         self._has_been_read = True
-        self._kept = kept
+        self._kept = store if store.is_complete else None
 
     def contiguous_segments(self) -> tuple[Segment, ...]:
         """Return all segments, those that continue one another joined."""

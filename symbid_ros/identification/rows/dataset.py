@@ -17,6 +17,7 @@ from symbid_ros.estimation.row_layout import RowLayout
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.rows.aligned_log import AlignedLog
 from symbid_ros.identification.rows.folding_pool import FoldingPool, available_cores
+from symbid_ros.identification.rows.reading_process import can_read_in_process
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay, Smoothing, row_inflation
@@ -37,6 +38,9 @@ from symbid_ros.signals.weak_form import (
 # Instants at which unfiltered samples are kept; beyond, every second one is dropped, again and
 # again, so that long logs take no more memory.
 MOST_PROBES = 12_000
+# Width of flat rows from which folding them takes so much longer than reading the log that a core
+# for the process that reads it would be idle.
+WIDE = 2000
 SAMPLES_AT_ONCE = 1024  # samples whose rows are built at once
 
 
@@ -140,8 +144,17 @@ def read_dataset(
         When a bag, its data or the model is invalid.
     """
     processing = processing or Processing()
-    jobs = processing.jobs
-    aligned = AlignedLog(log, parameters.model, checks=checks, watch=watch, jobs=jobs)
+    in_process = processing.jobs > 1 and bool(log.files) and can_read_in_process()
+    if in_process and RowLayout.of(parameters).width < WIDE:
+        processing = replace(processing, jobs=processing.jobs - 1)
+    aligned = AlignedLog(
+        log,
+        parameters.model,
+        checks=checks,
+        watch=watch,
+        jobs=processing.jobs,
+        in_process=in_process,
+    )
     segments = aligned if processing.smoothing is None else aligned.contiguous_segments()
     return fold_dataset(segments, log.source, parameters, processing)
 

@@ -74,6 +74,7 @@ class FoldingPool:
         self._batch: dict[float, list[WindowedRows]] = {window: [] for window in observations}
         self._folding: dict[float, Future[Observations]] = {}
         self._added = 0
+        self._covered = {window: frozenset[int]() for window in observations}
 
     def __enter__(self) -> Self:
         return self
@@ -108,8 +109,7 @@ class FoldingPool:
     def cover(self, windows: Sequence[float], seconds: frozenset[int]) -> None:
         """Mark the observations of some window lengths as covering seconds of a log."""
         for window in windows:
-            covered = self._current(window).covering(seconds)
-            self._observations[window] = covered
+            self._covered[window] |= seconds
 
     def finish(self) -> tuple[Observations, ...]:
         """Return the observations with all blocks folded."""
@@ -117,7 +117,9 @@ class FoldingPool:
             self._take_oldest()
         for window in self._batch:
             self._fold(window)
-        found = tuple(map(self._current, self._observations))
+        found = tuple(
+            self._current(window).covering(seconds) for window, seconds in self._covered.items()
+        )
         _release_free_memory()
         return found
 

@@ -1,15 +1,19 @@
 """Segments of a log that is iterated several times: in memory, and beyond a limit in a file."""
 
+import logging
 import mmap
 import os
 import tempfile
-from collections.abc import Iterator
+import weakref
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import IO, Any
 
 import numpy as np
 
 from symbid_ros.signals.segments import Segment
+
+logger = logging.getLogger(__name__)
 
 ALIGNMENT = 64  # bytes
 
@@ -23,41 +27,72 @@ class SegmentStore:
     ----------
     most_kept : int
         Bytes to keep in memory.
+
+    Attributes
+    ----------
+    is_complete : bool
+        Whether all segments could be kept.
     """
 
     def __init__(self, most_kept: int) -> None:
+        self.is_complete = True
         self._free = most_kept
-        self._segments: list[Segment | _Stored] = []
+        self._segments: list[Segment | Stored] = []
         self._file: IO[bytes] | None = None
 
-    def add(self, segment: Segment) -> None:
-        """Add a segment.
+    def keep(self, segments: Iterable[Segment]) -> Iterator[Segment]:
+        """Yield segments and add them."""
+        for segment in segments:
+            self._free -= segment.nbytes
+            self._append(segment if self._free >= 0 else self.write(segment))
+            yield segment
+
+    def write(self, segment: Segment) -> "Stored | None":
+        """Write a segment to the file; None if the folder for temporary files is full or locked."""
+        if not self.is_complete:
+            return None
+        try:
+            return Stored.write(segment, self.open_file())
+        except OSError as error:
+            logger.info("%s: the log is read again for each step", error)
+            self.is_complete = False
+            return None
+
+    def receive(self, one: "Segment | Stored") -> Segment:
+        """Add a segment that a copy of this process has written, if it could, and return it."""
+        if isinstance(one, Segment):
+            self._append(None)
+            return one
+        self._append(one)
+        return one.read(self.open_file())
+
+    def open_file(self) -> IO[bytes]:
+        """Return the file, which is created when it is first needed and closed with the store.
 
         Raises
         ------
         OSError
-            When the folder for temporary files is full or cannot be written.
+            When there is no folder for temporary files.
         """
-        self._free -= segment.nbytes
-        if self._free >= 0:
-            self._segments.append(segment)
-            return
         if self._file is None:
-            # It is closed together with the store.
             self._file = tempfile.TemporaryFile(prefix="symbid_", buffering=0)  # noqa: SIM115
-        self._segments.append(_Stored.write(segment, self._file))
+            weakref.finalize(self, self._file.close)
+        return self._file
+
+    def _append(self, one: "Segment | Stored | None") -> None:
+        self.is_complete = self.is_complete and one is not None
+        if one is not None and self.is_complete:
+            self._segments.append(one)
+        else:
+            self._segments.clear()
 
     def __iter__(self) -> Iterator[Segment]:
         for one in self._segments:
-            if isinstance(one, Segment):
-                yield one
-            else:
-                assert self._file is not None  # it was created for the first stored segment
-                yield one.read(self._file)
+            yield one if isinstance(one, Segment) else one.read(self.open_file())
 
 
 @dataclass(frozen=True)
-class _Stored:
+class Stored:
     """A segment without samples, and where in a file the arrays of its samples are."""
 
     empty: Segment
@@ -66,7 +101,14 @@ class _Stored:
     end: int
 
     @classmethod
-    def write(cls, segment: Segment, file: IO[bytes]) -> "_Stored":
+    def write(cls, segment: Segment, file: IO[bytes]) -> "Stored":
+        """Write a segment to the end of a file.
+
+        Raises
+        ------
+        OSError
+            When that fails.
+        """
         places = {}
         for entry in fields(segment):
             values = getattr(segment, entry.name)
@@ -76,6 +118,7 @@ class _Stored:
                 left = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
                 while left:
                     left = left[file.write(left) :]
+        file.truncate()  # the last array may be without values, behind the end of what is written
         # The copies of empty slices do not keep the arrays in memory.
         empty = segment.cut(0, 0)
         return cls(
@@ -86,6 +129,7 @@ class _Stored:
         )
 
     def read(self, file: IO[bytes]) -> Segment:
+        """Return the segment, whose arrays are mapped from the file."""
         # Mapping spares the copies, and reads no array that is not used.
         start = min(self.places.values()) // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
         content = mmap.mmap(file.fileno(), self.end - start, access=mmap.ACCESS_COPY, offset=start)
