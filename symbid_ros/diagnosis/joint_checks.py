@@ -1,16 +1,15 @@
 """Compares joint positions with their velocities and with the model's limits."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.diagnosis.required_readings import RequiredReadings, list_names
 from symbid_ros.model.tree import Joint, RobotModel
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.defects import ALWAYS
-from symbid_ros.signals.efforts import rounding_errors
 from symbid_ros.signals.streams import JointStream
 
 DEGREES = 180 / np.pi
@@ -36,22 +35,10 @@ FASTEST = 300.0
 # Degrees within one turn jump by a circle, apart from the joint's motion: 10 degrees in a message
 # are 2000 degrees/s at 200 Hz.
 CIRCLE, WRAP_MARGIN = 360.0, 10.0
-# Joints that move both ways, this many times each, of which so many have efforts of one sign.
-FEWEST_REVERSING, FEWEST_UNSIGNED = 10, 4
-# Spans in which a joint moves at least so that its effort cannot be constant.
-FEWEST_MOVED = 10
-# Efforts of a moving joint with a smaller signal-to-noise ratio are noise: 6 % of their power is
-# signal.
-LEAST_SIGNAL = 0.25
-# Second differences of white noise have six times its power; those of a vibration have more.
-WHITE = 7.0
-FEWEST_EFFORTS = 500  # messages from which noise is judged
 # A position that jumps further than this, rad or m, comes back if the next one is within this share
 # of the jump from the one before. Two publishers whose messages alternate in part cause at least so
 # many such jumps, as a share of the messages; white noise causes half as many.
 JUMP, BACK, TWO_PUBLISHERS = 0.02, 0.2, 0.25
-# A joint without a position in this share of the messages makes a log unusable.
-MOST_MISSING = 0.5
 
 
 def position_line(joints: Iterable[str]) -> str:
@@ -59,11 +46,10 @@ def position_line(joints: Iterable[str]) -> str:
     return robot_file_line("position_scale", *(f"{name}:={1 / DEGREES:.9g}" for name in joints))
 
 
-@dataclass
 class JointCheck:
-    """Moments of velocities, position changes and efforts, and the range of positions.
+    """Moments of velocities and position changes, the range of positions, and required readings.
 
-    Attributes
+    Parameters
     ----------
     topic : str
     names : tuple of str
@@ -72,48 +58,17 @@ class JointCheck:
         Whether the readings are arrays of a user instead of messages.
     """
 
-    topic: str
-    names: tuple[str, ...]
-    is_arrays: bool = False
-    _both: FloatArray = field(init=False)
-    _low: FloatArray = field(init=False)
-    _high: FloatArray = field(init=False)
-    _is_converted: BoolArray = field(init=False)  # by the user's position_scale
-    _held: frozenset[str] = frozenset()  # joints that the log lacks
-    _count: int = 0
-    _messages: int = 0
-    _without_position: IntArray = field(init=False)
-    _without_effort: IntArray = field(init=False)
-    _has_effort: BoolArray = field(init=False)
-    _constant: FloatArray = field(init=False)  # the only effort; NaN before the first
-    _is_constant: BoolArray = field(init=False)
-    _is_negative: BoolArray = field(init=False)  # ever, before the user's effort_scale
-    _is_positive: BoolArray = field(init=False)
-    _returns: IntArray = field(init=False)  # jumps to and fro
-    _wraps: IntArray = field(init=False)  # jumps by 360
-    _moved: IntArray = field(init=False)  # number of spans with motion down and up
-    _speeds: FloatArray = field(init=False)  # number of spans, and squares of their mean velocity
-    # Number of efforts, their squares, and the squares of their second differences.
-    _efforts: FloatArray = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Allocate empty moments."""
-        joints = len(self.names)
-        self._both = np.zeros((3, joints))
+    def __init__(self, topic: str, names: tuple[str, ...], *, is_arrays: bool = False) -> None:
+        self.topic, self.names = topic, names
+        self._required = RequiredReadings(topic, names, is_arrays=is_arrays)
+        joints = len(names)
+        self._both, self._count = np.zeros((3, joints)), 0
         self._low, self._high = np.full(joints, np.inf), np.full(joints, -np.inf)
-        self._without_position = np.zeros(joints, dtype=np.int64)
-        self._without_effort = np.zeros(joints, dtype=np.int64)
-        self._has_effort = np.zeros(joints, dtype=bool)
-        self._constant = np.full(joints, np.nan)
-        self._is_constant = np.ones(joints, dtype=bool)
-        self._is_negative = np.zeros(joints, dtype=bool)
-        self._is_positive = np.zeros(joints, dtype=bool)
-        self._returns = np.zeros(joints, dtype=np.int64)
-        self._wraps = np.zeros(joints, dtype=np.int64)
-        self._moved = np.zeros((2, joints), dtype=np.int64)
-        self._speeds = np.zeros((2, joints))
-        self._efforts = np.zeros((3, joints))
-        self._is_converted = np.zeros(joints, dtype=bool)
+        self._is_converted = np.zeros(joints, dtype=bool)  # by the user's position_scale
+        self._returns = np.zeros(joints, dtype=np.int64)  # jumps to and fro
+        self._wraps = np.zeros(joints, dtype=np.int64)  # jumps by 360
+        self._moved = np.zeros((2, joints), dtype=np.int64)  # spans with motion down and up
+        self._speeds = np.zeros((2, joints))  # number of spans, and squares of their mean velocity
 
     def add(self, joints: JointStream, during: tuple[int, int] = ALWAYS) -> None:
         """Add messages in the order of their stamps; messages of other joints are ignored.
@@ -122,21 +77,9 @@ class JointCheck:
         """
         if joints.names != self.names or len(joints.stamp) < 3:
             return
-        self._held = frozenset(joints.held)
         self._is_converted = np.isin(self.names, list(joints.position_scale))
         inside = slice(*np.searchsorted(joints.stamp, during).tolist())
-        is_finite = np.isfinite(joints.effort[inside])
-        self._messages += len(is_finite)
-        self._without_effort += np.count_nonzero(~is_finite, axis=0)
-        self._without_position += np.count_nonzero(~np.isfinite(joints.position[inside]), axis=0)
-        is_zero = np.abs(joints.effort[inside]) <= rounding_errors(joints.effort[inside])[:, None]
-        self._has_effort |= np.any(is_finite & ~is_zero, axis=0)
-        self._compare_with_constant(joints.effort[inside], is_finite)
-        scale = np.array([joints.effort_scale.get(name, 1.0) for name in self.names])
-        recorded = joints.effort[inside] * np.sign(scale)
-        self._is_negative |= np.any(recorded < 0.0, axis=0)
-        self._is_positive |= np.any(recorded > 0.0, axis=0)
-        self._add_efforts(joints.effort[inside])
+        self._required.add(joints, inside)
         self._add_returns(joints.position[inside])
         position = joints.position
         jump = np.abs(np.diff(position, axis=0))
@@ -183,44 +126,6 @@ class JointCheck:
         returns = (np.abs(rest) < BACK * size) & ~is_wrapped
         self._returns += np.bincount(joint[returns], minlength=len(self._returns))
 
-    def _compare_with_constant(self, effort: FloatArray, is_finite: BoolArray) -> None:
-        """Compare efforts (N, J) with the first one of each joint."""
-        if not len(effort):
-            return
-        first = effort[np.argmax(is_finite, axis=0), np.arange(effort.shape[1])]
-        self._constant = np.where(np.isnan(self._constant), first, self._constant)
-        self._is_constant &= ~np.any(is_finite & (effort != self._constant), axis=0)
-
-    @property
-    def _is_stuck(self) -> BoolArray:
-        """Whether an effort (J,) is one value, not zero, although its joint moves."""
-        moves = self._moved.sum(axis=0) >= FEWEST_MOVED
-        return np.asarray(self._has_effort & self._is_constant & moves)
-
-    def _add_efforts(self, effort: FloatArray) -> None:
-        """Add the squares of successive efforts (N, J) and of their second differences."""
-        bend = np.diff(effort, 2, axis=0)
-        known = np.isfinite(bend)
-        middle = np.where(known, effort[1:-1] if len(effort) > 2 else bend, 0.0)
-        self._efforts += [
-            np.count_nonzero(known, axis=0),
-            np.sum(middle**2, axis=0),
-            np.sum(np.where(known, bend, 0.0) ** 2, axis=0),
-        ]
-
-    @property
-    def signal_to_noise(self) -> FloatArray:
-        """Ratio of the effort's RMS signal to its RMS noise, (J,); infinite without noise.
-
-        White noise of variance σ² has second differences of variance 6σ². Those of a signal that
-        is smooth from message to message are small.
-        """
-        _, square, bend = self._efforts
-        noise = bend / 6
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.sqrt(np.maximum(square / noise - 1, 0.0))
-        return np.where(noise > 0, ratio, np.inf)
-
     def findings(self, model: RobotModel | None) -> list[Finding]:
         """Return the findings about positions, velocities and efforts."""
         if two := self._publisher_findings():
@@ -228,160 +133,23 @@ class JointCheck:
         found = self._wrap_findings(model) or self._count_findings(model)
         if not found and model is not None:
             found = self._degree_findings(model)
-        return [*self._missing_value_findings(model), *(found or self._velocity_findings())]
+        return [*self._required.findings(model, self._moved), *(found or self._velocity_findings())]
 
     def _publisher_findings(self) -> list[Finding]:
         """Return a finding if positions jump to and fro, which would disturb all other checks."""
-        places = np.flatnonzero(self._returns > TWO_PUBLISHERS * self._messages).tolist()
+        places = np.flatnonzero(self._returns > TWO_PUBLISHERS * self._required.messages).tolist()
         if not places:
             return []
         return [
             Finding.of(
                 self.topic,
                 Kind.TWO_PUBLISHERS,
-                f"positions of {self._list_names(places)} jump to and fro between two values, as "
-                "if two nodes published on this topic; record the topic of one of them, or stop "
-                "the other",
-                {"jumps": int(self._returns.max()), "messages": self._messages},
+                f"positions of {list_names(self.names, places)} jump to and fro between two "
+                "values, as if two nodes published on this topic; record the topic of one of them, "
+                "or stop the other",
+                {"jumps": int(self._returns.max()), "messages": self._required.messages},
             )
         ]
-
-    def _missing_value_findings(self, model: RobotModel | None) -> list[Finding]:
-        """Return findings for joints that lack required positions or efforts."""
-        if not self._messages:
-            return []
-        joints = {} if model is None else {joint.name: joint for joint in model.joints}
-        known = [i for i, name in enumerate(self.names) if model is None or name in joints]
-        known = [i for i in known if self.names[i] not in self._held]
-        driven = [i for i in known if model is None or joints[self.names[i]].effort > 0]
-        # Without a model, a joint that never has a position may not need one.
-        most = self._messages if model is not None else self._messages - 1
-        absent = [i for i in known if 0 < self._without_position[i] <= most]
-        fatal = [
-            i
-            for i in absent
-            if model is not None and self._without_position[i] >= MOST_MISSING * self._messages
-        ]
-        found = [
-            *self._absent("position", fatal, Severity.UNUSABLE),
-            *self._absent("position", [i for i in absent if i not in fatal], Severity.WARNING),
-        ]
-        absent_or_zero = [i for i in driven if not self._has_effort[i]]
-        stuck = [i for i in driven if self._is_stuck[i]]
-        # The rows of a floating base and of wrist sensors are usable without any effort.
-        has_others = model is not None and bool(model.floating or model.wrist_sensors)
-        is_fatal = len(absent_or_zero) + len(stuck) == len(driven) and not has_others
-        if model is None and not is_fatal:
-            absent_or_zero = []  # they may be passive
-        reported = {
-            i: f"in no {self._kind}" if self._without_effort[i] == self._messages else "always zero"
-            for i in absent_or_zero
-        }
-        reported |= {i: f"always {self._constant[i]:.6g} although it moves" for i in stuck}
-        for what in sorted(set(reported.values())):
-            places = [i for i in driven if reported.get(i) == what]
-            rows = "its row" if len(places) == 1 else "their rows"
-            found.append(
-                Finding.of(
-                    self.topic,
-                    Kind.MISSING_JOINT,
-                    f"the effort of {self._list_names(places)} is {what}, {rows} of the equation "
-                    f"of motion cannot be used; {self._remedy('effort')}, or, of a joint without a "
-                    'drive, write effort="0" and a velocity in the `<limit>` of the model',
-                    {"joints": len(places)},
-                    Severity.UNUSABLE if is_fatal else Severity.WARNING,
-                )
-            )
-        found += self._held_findings(joints)
-        driven = [i for i in driven if self._has_effort[i] and i not in stuck]
-        found += self._unsigned_findings(driven)
-        found += self._noise_findings(driven)
-        incomplete = [i for i in driven if self._without_effort[i]]
-        return found + list(self._absent("effort", incomplete, Severity.WARNING))
-
-    def _held_findings(self, joints: Mapping[str, Joint]) -> Iterator[Finding]:
-        """Yield a finding that names the driven joints that are missing from the log."""
-        places = [
-            i
-            for i, name in enumerate(self.names)
-            if name in self._held and name in joints and joints[name].effort > 0
-        ]
-        if places:
-            rows = "its row" if len(places) == 1 else "their rows"
-            moving = "it if it moves" if len(places) == 1 else "them if they move"
-            yield Finding.of(
-                self.topic,
-                Kind.MISSING_JOINT,
-                f"the log lacks {self._list_names(places)}, so {rows} of the equation of motion "
-                f"cannot be used; record {moving}",
-                {"joints": len(places)},
-                Severity.WARNING,
-            )
-
-    def _unsigned_findings(self, driven: list[int]) -> Iterator[Finding]:
-        """Yield a finding if efforts of all joints that move both ways have one sign.
-
-        Friction alone changes its sign, and a joint with a vertical axis carries no weight.
-        """
-        reverses = self._moved.min(axis=0) >= FEWEST_REVERSING
-        places = [i for i in driven if reverses[i]]
-        is_negative, is_positive = self._is_negative[places].any(), self._is_positive[places].any()
-        if len(places) < FEWEST_UNSIGNED or (is_negative and is_positive):
-            return
-        never = "positive" if is_negative else "negative"
-        yield Finding.of(
-            self.topic,
-            Kind.UNSIGNED_EFFORT,
-            f"the effort of {self._list_names(places)} is never {never}, although the joints move "
-            "both ways, as if it were a magnitude; let the driver give efforts their signs",
-            {"joints": len(places)},
-            Severity.WARNING,
-        )
-
-    def _noise_findings(self, driven: list[int]) -> Iterator[Finding]:
-        """Yield a finding if the efforts of joints that move are almost only noise."""
-        ratio = self.signal_to_noise
-        count, square, bend = self._efforts
-        is_noise = (ratio < LEAST_SIGNAL) & (count >= FEWEST_EFFORTS) & (bend < WHITE * square)
-        is_noise &= np.any(self._moved > 0, axis=0)
-        places = [i for i in driven if is_noise[i]]
-        if not places:
-            return
-        low, high = float(ratio[places].min()), float(ratio[places].max())
-        span = f"{low:.2g}" if len(places) == 1 else f"{low:.2g} to {high:.2g}"
-        yield Finding.of(
-            self.topic,
-            Kind.EFFORT_NOISE,
-            f"the effort of {self._list_names(places)} is almost only noise, with a "
-            f"signal-to-noise ratio of {span}; load the joints more, by faster motion or a "
-            "payload, or measure efforts with less noise",
-            {f"{self.names[i]}/signal_to_noise": float(ratio[i]) for i in places},
-            Severity.WARNING,
-        )
-
-    def _absent(self, kind: str, places: list[int], severity: Severity) -> Iterator[Finding]:
-        """Yield a finding about joints whose positions or efforts some messages lack."""
-        if not places:
-            return
-        counts = self._without_position if kind == "position" else self._without_effort
-        most = int(counts[places].max())
-        yield Finding.of(
-            self.topic,
-            Kind.MISSING_JOINT,
-            f"{'' if len(places) == 1 else 'up to '}{most} of {self._messages} {self._kind}s have "
-            f"no {kind} of {self._list_names(places)}; {self._remedy(kind)}",
-            {"messages": most, "share": most / self._messages},
-            severity,
-        )
-
-    @property
-    def _kind(self) -> str:
-        return "row" if self.is_arrays else "message"
-
-    def _remedy(self, quantity: str) -> str:
-        if self.is_arrays:
-            return f"give the {quantity} of every joint in each row"
-        return f"let the driver fill JointState.{quantity}"
 
     def _velocity_findings(self) -> list[Finding]:
         change, product, velocity = self._both / max(self._count, 1)
@@ -396,8 +164,8 @@ class JointCheck:
                 Finding.of(
                     self.topic,
                     Kind.VELOCITY,
-                    f"position and velocity of {self._list_names(wrong)} have opposite signs; "
-                    "measure both along the joint's axis",
+                    f"position and velocity of {list_names(self.names, wrong)} have opposite "
+                    "signs; measure both along the joint's axis",
                     {f"{self.names[i]}/scale": float(scale[i]) for i in wrong},
                 )
             )
@@ -415,8 +183,8 @@ class JointCheck:
                     Finding.of(
                         self.topic,
                         Kind.UNIT,
-                        f"{what} of {self._list_names(places)} are {DEGREES:.1f} times what the "
-                        f"other quantity implies, as if in degrees; {remedy}",
+                        f"{what} of {list_names(self.names, places)} are {DEGREES:.1f} times what "
+                        f"the other quantity implies, as if in degrees; {remedy}",
                         {f"{self.names[i]}/scale": float(scale[i]) for i in places},
                         Severity.UNUSABLE if what == "positions" else Severity.WARNING,
                     )
@@ -432,7 +200,7 @@ class JointCheck:
                 Finding.of(
                     self.topic,
                     kind,
-                    f"velocity of {self._list_names(places)} is "
+                    f"velocity of {list_names(self.names, places)} is "
                     f"{float(np.median(scale[places])):.3g} times the rate of change of the "
                     f"position; check {what}",
                     {f"{self.names[i]}/scale": float(scale[i]) for i in places},
@@ -460,8 +228,9 @@ class JointCheck:
             Finding.of(
                 self.topic,
                 Kind.UNIT,
-                f"positions of {self._list_names(places)} jump by 360 between the ends of one "
-                f"turn, as if in degrees; use rad and rad/s, or write {position_line(hinges)}",
+                f"positions of {list_names(self.names, places)} jump by 360 between the ends of "
+                "one turn, as if in degrees; use rad and rad/s, or write "
+                f"{position_line(hinges)}",
                 {f"{self.names[i]}/wraps": int(self._wraps[i]) for i in places},
             )
         ]
@@ -498,9 +267,9 @@ class JointCheck:
             Finding.of(
                 self.topic,
                 Kind.UNIT,
-                f"positions of {self._list_names(places)} reach {largest:.3g} and change by up to "
-                f"{float(speed[places].max()):.3g} per second (RMS), as if in encoder counts; give "
-                "rad (m), or the factor to it as `position_scale` JOINT:=FACTOR",
+                f"positions of {list_names(self.names, places)} reach {largest:.3g} and change by "
+                f"up to {float(speed[places].max()):.3g} per second (RMS), as if in encoder "
+                "counts; give rad (m), or the factor to it as `position_scale` JOINT:=FACTOR",
                 {"largest": largest} | {f"{self.names[i]}/speed": float(speed[i]) for i in places},
             )
         ]
@@ -547,11 +316,6 @@ class JointCheck:
                 {"joints": outside, "largest": largest},
             )
         ]
-
-    def _list_names(self, places: list[int]) -> str:
-        if len(places) > 2 and len(places) == len(self.names):
-            return "all joints"
-        return ", ".join(self.names[i] for i in places)
 
 
 def _leaves(joint: Joint, low: float, high: float) -> bool:

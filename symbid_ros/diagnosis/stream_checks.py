@@ -89,7 +89,7 @@ class StreamChecks:
                 base.add(imu, self.model, during)
         if self._joint_check is None:
             self._joint_check = JointCheck(
-                streams.joints.topic, streams.joints.names, streams.is_arrays
+                streams.joints.topic, streams.joints.names, is_arrays=streams.is_arrays
             )
         self._joint_check.add(streams.joints, during)
         if self.model is not None and self._follower_check is None:

@@ -8,6 +8,7 @@ from random_robots import random_robot
 
 from symbid_ros.diagnosis.findings import Kind, Severity
 from symbid_ros.diagnosis.joint_checks import DEGREES, JointCheck
+from symbid_ros.diagnosis.required_readings import list_names
 from symbid_ros.signals.streams import JointStream
 
 NAMES = ("hip", "knee", "foot")
@@ -342,7 +343,7 @@ def test_joints_without_effort_are_named_by_what_they_report():
     joints.effort[:, 1] = 0.0
     (both,) = findings(joints, robot(lower=-np.inf))
     assert "the effort of hip, knee is always zero, their rows" in both.message
-    assert JointCheck("/joints", NAMES[:2])._list_names([0, 1]) == "hip, knee"
+    assert list_names(NAMES[:2], [0, 1]) == "hip, knee"
     assert (both.figures, both.severity) == ({"joints": 2}, Severity.WARNING)
     assert findings(joints, robot(lower=-np.inf, efforts=(0.0, 0.0, 0.5))) == []
     # All driven joints of a fixed robot are silent.
