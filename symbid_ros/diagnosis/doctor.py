@@ -2,13 +2,15 @@
 
 from dataclasses import dataclass, field
 
-from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, merged
-from symbid_ros.diagnosis.model_checks import (
-    TOO_SHORT,
+from symbid_ros.diagnosis.findings import (
+    Diagnosis,
+    Finding,
+    Kind,
     ModelChecks,
-    check_model,
-    with_rotation_line,
+    Severity,
+    merged,
 )
+from symbid_ros.diagnosis.model_checks import TOO_SHORT, check_model, with_rotation_line
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks, fatal_finding, unusable

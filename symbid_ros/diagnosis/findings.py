@@ -220,6 +220,15 @@ class StreamFigures:
     longest_gap_s: float
 
 
+@dataclass
+class ModelChecks:
+    """Findings, figures, and skipped checks with their reasons."""
+
+    findings: list[Finding] = field(default_factory=list)
+    figures: dict[str, float] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """Findings and statistics of a log.

@@ -7,15 +7,11 @@ from random_robots import random_robot, random_rotation
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.choices import JOINT_TERMS
+from symbid_ros.diagnosis.delay_checks import _attribute_to_joints, delay_finding
+from symbid_ros.diagnosis.findings import ModelChecks
 from symbid_ros.diagnosis.forces import _reference_gain
 from symbid_ros.diagnosis.gain_problem import loads
-from symbid_ros.diagnosis.model_checks import (
-    RESOLUTION,
-    ModelChecks,
-    _attribute_to_joints,
-    delay_finding,
-    excitation,
-)
+from symbid_ros.diagnosis.model_checks import RESOLUTION, excitation
 from symbid_ros.diagnosis.model_statistics import WINDOWS, ModelStatistics
 from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
 from symbid_ros.model.parameters import ParameterSet

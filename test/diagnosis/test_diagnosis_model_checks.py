@@ -5,13 +5,9 @@ from types import SimpleNamespace
 import pytest
 
 from symbid_ros.diagnosis import model_checks
-from symbid_ros.diagnosis.findings import Finding, Kind, Severity
-from symbid_ros.diagnosis.model_checks import (
-    Excitation,
-    ModelChecks,
-    _attribute_to_joints,
-    delay_finding,
-)
+from symbid_ros.diagnosis.delay_checks import _attribute_to_joints, delay_finding
+from symbid_ros.diagnosis.findings import Finding, Kind, ModelChecks, Severity
+from symbid_ros.diagnosis.model_checks import Excitation
 
 
 @pytest.mark.parametrize(
