@@ -1,13 +1,10 @@
 """information.npz: the observations of a run, from which the next run can continue."""
 
 import math
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tokenize import TokenError
-from typing import IO, Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +19,13 @@ from symbid_ros.estimation.group_moments import (
     GroupMoments,
 )
 from symbid_ros.estimation.information import Information
+from symbid_ros.estimation.npz_file import check_unpacked_size, read_arrays
 from symbid_ros.estimation.observations import Observations, covered_seconds
 from symbid_ros.estimation.row_layout import RowLayout
-from symbid_ros.user_files import open_regular
 
 FORMAT = 4  # format 3 had triangles only
 DENSE_FORMAT = 2  # of earlier versions, with all zeros, both halves of moments, and all copies
 ARCHIVE = "an information.npz"
-MAX_ARRAYS = 10_000
-MAX_BYTES = 2 << 30  # of all arrays, unpacked; a humanoid with 45 joints needs a quarter
 SLIPPING, NUMBERS = "slipping_", "numbers_"  # parts of names of arrays
 LARGEST_ENTRY = 1e15  # far above an hour of large forces at a high rate
 
@@ -196,8 +191,9 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
                 f"{DENSE_FORMAT} to {FORMAT}; identify the log again",
                 "E411",
             )
-        if 64 * sum(one.size for name, one in content.items() if NUMBERS in name) > MAX_BYTES:
-            raise _too_large(path)
+        check_unpacked_size(
+            path, 64 * sum(one.size for name, one in content.items() if NUMBERS in name)
+        )
         return unpack_observations(content)
     except KeyError as error:
         reason = f"it lacks {error}"
@@ -452,63 +448,3 @@ def _seconds(content: dict[str, np.ndarray]) -> frozenset[int]:
     seconds = content.get("seconds", np.zeros(0, dtype=np.int64))
     _require(seconds.ndim == 1 and seconds.dtype == np.int64, "seconds must be a list of integers")
     return frozenset(seconds.tolist())
-
-
-def read_arrays(path: Path, kind: str, code: str = "E410") -> dict[str, np.ndarray]:
-    """Return the arrays of an .npz that `symbid identify` writes under the name ``kind``.
-
-    Raises
-    ------
-    EstimateError
-        When it cannot be read, exceeds the limits or is no archive of arrays; the latter with
-        ``code``.
-    """
-    try:
-        with open_regular(path) as stream:
-            _check_sizes(path, stream)
-            stream.seek(0)
-            # A single array is not a context manager, hence the TypeError below.
-            with np.load(stream, allow_pickle=False) as stored:
-                return dict(stored)
-    except OSError as error:
-        reason = error.strerror or "not a zip of arrays"
-        raise EstimateError(f"{path}: cannot read it ({reason}); check the path", "E401") from None
-    except (ValueError, TypeError, zipfile.BadZipFile, zlib.error, EOFError, AttributeError):
-        # NumPy's own message advises loading the file as a pickle, so it is dropped.
-        raise EstimateError(
-            f"{path}: not {kind}; give the file that `symbid identify` wrote", code
-        ) from None
-
-
-def _check_sizes(path: Path, file: BinaryIO) -> None:
-    """Reject arrays that exceed the limits or their own bytes, before memory is allocated."""
-    with zipfile.ZipFile(file) as archive:
-        members = archive.infolist()
-        if len(members) > MAX_ARRAYS or sum(one.file_size for one in members) > MAX_BYTES:
-            raise _too_large(path)
-        for member in members:
-            with archive.open(member) as stream:
-                shape, kind = _stated(stream)
-                if math.prod(shape) * kind.itemsize != member.file_size - stream.tell():
-                    raise ValueError("an array does not have the size in its header")
-
-
-def _too_large(path: Path) -> EstimateError:
-    return EstimateError(
-        f"{path}: more than {MAX_ARRAYS} arrays or {MAX_BYTES >> 20} MiB unpacked, the limits; "
-        "identify fewer logs at a time",
-        "E411",
-    )
-
-
-def _stated(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Return the shape and type in an array's header."""
-    npy = np.lib.format
-    is_first = npy.read_magic(stream) == (1, 0)
-    read = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
-    try:
-        shape, _, kind = read(stream)
-    except (SyntaxError, TokenError, RecursionError, MemoryError):
-        # NumPy passes on the parser's errors for a header that is not a Python literal.
-        raise ValueError("an array has no valid header") from None
-    return shape, kind

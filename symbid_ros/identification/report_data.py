@@ -11,7 +11,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.atomic_write import write_through
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.archive import read_arrays
+from symbid_ros.estimation.npz_file import read_arrays
 
 FILE_NAME = "report_data.npz"
 FORMAT = 1

@@ -338,7 +338,7 @@ def test_memory_is_not_allocated_beyond_an_arrays_bytes(stored, tmp_path):
 
 def test_an_archive_beyond_the_unpacked_limit_is_rejected(stored, tmp_path, monkeypatch):
     limit = 64 << 20
-    monkeypatch.setattr("symbid_ros.estimation.archive.MAX_BYTES", limit)
+    monkeypatch.setattr("symbid_ros.estimation.npz_file.MAX_BYTES", limit)
     path = tmp_path / "bomb.npz"
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
