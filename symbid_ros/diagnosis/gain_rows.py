@@ -39,13 +39,13 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sampled_rows import SampledRows, valid_coordinates, valid_rows
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import (
+from symbid_ros.signals.weak_form import with_filtered_friction
+from symbid_ros.signals.window_averages import (
     Average,
     AveragingRows,
     average,
     extended,
     stacked,
-    with_filtered_friction,
 )
 
 CHUNK = 512

@@ -24,13 +24,8 @@ from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sampled_rows import least_slipping
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import (
-    WINDOWS,
-    equation_rows,
-    free_of_stops,
-    hann_weights,
-    window_centres,
-)
+from symbid_ros.signals.weak_form import WINDOWS, equation_rows, free_of_stops
+from symbid_ros.signals.window_averages import hann_weights, window_centres
 
 ComplexArray = NDArray[np.complex128]
 

@@ -179,7 +179,7 @@ class SubsetRows:
         return SampledRows(samples.stamp, combined, slipping)
 
     def build(self, readings: SensorSamples) -> Iterator[SampledRows]:
-        """Yield the rows of readings: a :data:`symbid_ros.signals.weak_form.RowBuilder`."""
+        """Yield the rows of readings: a :data:`symbid_ros.signals.sampled_rows.RowBuilder`."""
         for start in range(0, len(readings), MOST_AT_ONCE):
             yield self.at(at_base(readings[start : start + MOST_AT_ONCE], self.parameters.model))
 

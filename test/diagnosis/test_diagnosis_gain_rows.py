@@ -19,7 +19,7 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_samples import at_base
-from symbid_ros.signals.weak_form import average
+from symbid_ros.signals.window_averages import average
 
 COUNT = 40
 IMUS = ("imu_link", "link_2")

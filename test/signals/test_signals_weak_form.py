@@ -26,7 +26,6 @@ from symbid_ros.signals.weak_form import (
     REPLAYED_BLOCKS,
     SETTLING,
     WINDOWS,
-    average,
     block_length,
     check_windows,
     equation_rows,
@@ -35,6 +34,7 @@ from symbid_ros.signals.weak_form import (
     suitable_windows,
     windowed_rows,
 )
+from symbid_ros.signals.window_averages import average
 
 NOISE = {"position": 1e-5, "rate": 5e-3, "acceleration": 0.03, "effort": 0.1, "wrench": 1.0}
 

@@ -33,7 +33,8 @@ from symbid_ros.signals.calibrating_rows import CalibratingRows, LinearizationPo
 from symbid_ros.signals.sampled_rows import SampledRows
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN, SensorErrors
 from symbid_ros.signals.sensor_samples import SensorSamples
-from symbid_ros.signals.weak_form import Average, AveragingRows, equation_rows
+from symbid_ros.signals.weak_form import equation_rows
+from symbid_ros.signals.window_averages import Average, AveragingRows
 
 # Identifications with given gains, and linearised steps after each.
 ROUNDS, STEPS = 3, 8
