@@ -16,7 +16,8 @@ from symbid_ros.dynamics.kinematics import (
     link_velocity,
     matvec,
 )
-from symbid_ros.model.tree import Frame, RobotModel
+from symbid_ros.model.frames import Frame
+from symbid_ros.model.tree import RobotModel
 
 
 @dataclass(frozen=True)

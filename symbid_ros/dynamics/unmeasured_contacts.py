@@ -33,7 +33,8 @@ from symbid_ros.dynamics.kinematics import LinkPoses, link_poses, skew
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.upright import upward
 from symbid_ros.errors import ModelError
-from symbid_ros.model.tree import Contacts, RobotModel, ball_around
+from symbid_ros.model.frames import ball_around
+from symbid_ros.model.tree import Contacts, RobotModel
 
 # Factor below which a row is no part of a combination.
 NEGLIGIBLE = 1e-12
@@ -96,7 +97,7 @@ def contact_radius(model: RobotModel, contact: str) -> float | None:
 def _explicit(model: RobotModel, contact: str) -> str:
     """Return a contact with the radius of the model's ball in place of ``point``."""
     name, _, kind = contact.partition(":")
-    ball = ball_around(model, model.frame(name, "contact"))
+    ball = ball_around(model.frame(name, "contact"), model.frames)
     return f"{ball.name}:{ball.radius:.6g}" if kind == POINT and ball else contact
 
 
@@ -109,7 +110,7 @@ def touched_frame(model: RobotModel, name: str) -> str:
     known = next((one for one in model.frames if one.name == name), None)
     if name in touching or known is None:
         return name
-    ball = ball_around(model, known)
+    ball = ball_around(known, model.frames)
     return ball.name if ball is not None and ball.name in touching else name
 
 

@@ -14,8 +14,9 @@ from symbid_ros.dynamics.unmeasured_contacts import contact_radius
 from symbid_ros.errors import ModelError, OptionError
 from symbid_ros.excitation.options import ExciteOptions
 from symbid_ros.identification.robot_options import is_contact_kind
+from symbid_ros.model.frames import Frame
 from symbid_ros.model.load import is_mjcf
-from symbid_ros.model.tree import Frame, RobotModel
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.visual_shapes import VisualShape, collision_shapes
 from symbid_ros.report.link_meshes import mesh_vertices
 

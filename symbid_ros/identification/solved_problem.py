@@ -39,7 +39,6 @@ from symbid_ros.identification.terms.remarks import held_remarks, joints_without
 from symbid_ros.model.held_joints import held_positions
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.tree import force_only_sensors
 from symbid_ros.model.wrist_sensors import links_beyond, sensor_names
 from symbid_ros.package_paths import package_version
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN
@@ -468,7 +467,7 @@ class SolvedProblem:
             load_reference=_load_reference(parameters),
             courses=tuple(one for one in parameters.courses if one[0] >= 0),  # of this log
             contacts=() if contacts is None else contacts.names,
-            force_only=force_only_sensors(parameters.model),
+            force_only=parameters.model.force_only,
             end_stops=parameters.model.end_stops,
             gravity=None if parameters.model.floating else tuple(parameters.model.gravity.tolist()),
             held_joints=held_positions(parameters.model),

@@ -16,15 +16,9 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import ModelError
+from symbid_ros.model.frames import Frame, with_radii_of_balls
 from symbid_ros.model.inertia import is_consistent, pseudo_inertia, transform_phi
-from symbid_ros.model.tree import (
-    Frame,
-    Joint,
-    Link,
-    Mimic,
-    RobotModel,
-    with_radii_of_balls,
-)
+from symbid_ros.model.tree import Joint, Link, Mimic, RobotModel
 
 # Changes below this share of a link's largest parameters are rounding.
 ROUNDING = 1e-12

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.model.frames import Frame, with_radii_of_balls
 from symbid_ros.model.rotation import rotation_from_xyzw
-from symbid_ros.model.tree import Frame, RobotModel, with_radii_of_balls
+from symbid_ros.model.tree import RobotModel
 
 
 @dataclass(frozen=True)

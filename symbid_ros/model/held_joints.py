@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.model.bodies import divide
+from symbid_ros.model.frames import Frame
 from symbid_ros.model.inertia import transform_phi
-from symbid_ros.model.tree import Frame, HeldJoints, Joint, Link, RobotModel
+from symbid_ros.model.tree import HeldJoints, Joint, Link, RobotModel
 
 # Fields of a joint that an identification changes.
 _IDENTIFIED = "damping", "friction_loss", "armature", "stiffness", "spring_reference"

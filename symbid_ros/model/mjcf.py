@@ -11,10 +11,11 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import Base
 from symbid_ros.errors import ModelError
 from symbid_ros.model.bodies import Body, BodyJoint, assemble
+from symbid_ros.model.frames import AT_CENTER
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.mjcf_source import Shapes, read_mjcf, reduced_mjcf
 from symbid_ros.model.rotation import rotation_from_quaternion
-from symbid_ros.model.tree import AT_CENTER, RobotModel
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.xml_file import Element, as_element
 
 

@@ -6,8 +6,9 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.errors import ModelError
+from symbid_ros.model.frames import Frame
 from symbid_ros.model.inertia import phi_from_com
-from symbid_ros.model.tree import Frame, RobotModel
+from symbid_ros.model.tree import RobotModel
 
 # Stamps beyond those of any log, ns.
 FIRST, LAST = -(2**62), 2**62

@@ -1,6 +1,6 @@
 """A robot as a tree of links joined by revolute and prismatic joints."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -9,6 +9,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.errors import ModelError, OptionError
+from symbid_ros.model.frames import Frame
 
 if TYPE_CHECKING:
     from symbid_ros.model.bodies import Body
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 # Between a frame and the link that a wrench given in it acts on, if that is another one.
 ON_LINK = "@"
 STANDARD_GRAVITY = np.array([0.0, 0.0, -9.81])
-AT_CENTER = 1e-3  # m between a frame's origin and the centre of its ball
 
 
 @dataclass(frozen=True)
@@ -114,70 +114,6 @@ class Joint:
     stiffness: float = 0.0
     spring_reference: float = 0.0
     has_stops: bool = False
-
-
-@dataclass(frozen=True)
-class Frame:
-    """A frame fixed to a link, such as an IMU or a sole.
-
-    Attributes
-    ----------
-    name : str
-        Frame name, as in ``header.frame_id``.
-    link : int
-        Index of the link that carries it.
-    rotation, translation : (3, 3) and (3,) float64
-        Pose of the frame in the link's frame.
-    radius : float
-        Of the ball about its origin that can touch the ground, m; zero if there is none.
-    below : float
-        How far below its origin the force of its sensor acts if that measures no moments, m; zero
-        for other sensors.
-    """
-
-    name: str
-    link: int
-    rotation: FloatArray
-    translation: FloatArray
-    radius: float = 0.0
-    below: float = 0.0
-
-
-def force_only_sensors(model: "RobotModel") -> tuple[str, ...]:
-    """Return the sensors that measure forces alone, as :meth:`RobotModel.with_force_only`."""
-    return tuple(f"{one.name}:{one.below:.6g}" for one in model.frames if one.below)
-
-
-def with_radii_of_balls(frames: Iterable[Frame]) -> tuple[Frame, ...]:
-    """Return frames sorted by name, of which all at the centre of a ball have its radius."""
-    frames = sorted(frames, key=lambda frame: frame.name)
-    balls = [frame for frame in frames if frame.radius]
-
-    def radius(frame: Frame) -> float:
-        near = (ball.radius for ball in balls if _distance(frame, ball) < AT_CENTER)
-        return frame.radius or next(near, 0.0)
-
-    return tuple(replace(frame, radius=radius(frame)) for frame in frames)
-
-
-def ball_around(model: "RobotModel", frame: Frame) -> Frame | None:
-    """Return the ball that contains a frame's origin, or None.
-
-    A frame at the centre of a ball is returned as it is.
-    """
-    if frame.radius:
-        return frame
-    balls = [one for one in model.frames if _distance(one, frame) < one.radius + AT_CENTER]
-    return min(
-        (one for one in balls if one.radius), key=lambda one: _distance(one, frame), default=None
-    )
-
-
-def _distance(first: Frame, second: Frame) -> float:
-    """Return the distance of two frames' origins, m; infinite between links."""
-    if first.link != second.link:
-        return np.inf
-    return float(np.linalg.norm(first.translation - second.translation))
 
 
 @dataclass(frozen=True)
@@ -512,6 +448,11 @@ class RobotModel:
                 )
         found = (replace(one, has_stops=one.name in joints) for one in self.joints)
         return replace(self, joints=tuple(found)) if joints else self
+
+    @property
+    def force_only(self) -> tuple[str, ...]:
+        """The wrench sensors that measure forces alone, as :meth:`with_force_only` takes them."""
+        return tuple(f"{one.name}:{one.below:.6g}" for one in self.frames if one.below)
 
     @cached_property
     def end_stops(self) -> tuple[str, ...]:

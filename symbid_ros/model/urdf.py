@@ -13,9 +13,10 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import Base
 from symbid_ros.errors import ModelError
 from symbid_ros.model.bodies import Body, BodyJoint, assemble
+from symbid_ros.model.frames import AT_CENTER
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.rotation import rotation_from_rpy
-from symbid_ros.model.tree import AT_CENTER, STANDARD_GRAVITY, RobotModel
+from symbid_ros.model.tree import STANDARD_GRAVITY, RobotModel
 from symbid_ros.model.xml_file import LARGEST, MAX_DEPTH, place, read_xml
 
 _MOVING: dict[str, Literal["revolute", "prismatic"]] = {

@@ -15,8 +15,9 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import ModelError
 from symbid_ros.model.bodies import Body, BodyJoint, assemble
 from symbid_ros.model.fixed_frames import with_frames_of
+from symbid_ros.model.frames import Frame
 from symbid_ros.model.inertia import transform_phi
-from symbid_ros.model.tree import Frame, Joint, RobotModel
+from symbid_ros.model.tree import Joint, RobotModel
 
 # Components in the order of wrenches: angular part first.
 COMPONENTS = tuple(f"{kind}_{axis}" for kind in ("moment", "force") for axis in "xyz")

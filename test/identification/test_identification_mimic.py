@@ -15,9 +15,10 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.predictions.evaluation import evaluate
 from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.frames import Frame
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.tree import Frame, Mimic
+from symbid_ros.model.tree import Mimic
 from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.simulation.recording import record
 

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 import symbid_ros as sy
 from symbid_ros.errors import DataError, EstimateError, ModelError, OptionError
 from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.frames import Frame
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.payload import Payload
-from symbid_ros.model.tree import Frame
 from symbid_ros.online.initial_state import InitialState
 
 MASS, PLACE = 1.5, (0.02, -0.1, 0.2)

@@ -18,9 +18,9 @@ from symbid_ros.identification.predictions.realistic_prediction import (
 )
 from symbid_ros.identification.result_files import load_estimated_model, write_identification
 from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.frames import Frame
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.tree import Frame
 from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.simulation.recording import record
 

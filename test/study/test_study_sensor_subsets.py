@@ -17,9 +17,9 @@ from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.rows.dataset import Processing, read_dataset
 from symbid_ros.identification.solved_problem import SolvedProblem
+from symbid_ros.model.frames import Frame
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.tree import Frame
 from symbid_ros.offline.bags import read_true_motion
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows

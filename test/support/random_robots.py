@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.dynamics.samples import Samples
+from symbid_ros.model.frames import Frame
 from symbid_ros.model.inertia import phi_from_pseudo_inertia
-from symbid_ros.model.tree import Frame, Joint, Link, RobotModel
+from symbid_ros.model.tree import Joint, Link, RobotModel
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 

@@ -16,7 +16,8 @@ from symbid_ros.errors import ModelError
 from symbid_ros.identification.conventions.contact_radii import with_fitted_radii
 from symbid_ros.identification.log_reading import first_segments
 from symbid_ros.identification.robot_options import RobotOptions
-from symbid_ros.model.tree import Frame, RobotModel, ball_around
+from symbid_ros.model.frames import Frame, ball_around
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import warn_once
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
@@ -145,7 +146,8 @@ def chain_ends(robot: RobotModel) -> list[Frame]:
         own = robot.frame(robot.link_names[link])
         balls = [one for one in frames if one.radius]
         if feet:
-            balls = [ball for foot in feet if (ball := ball_around(robot, foot)) is not None]
+            found = [ball_around(foot, robot.frames) for foot in feet]
+            balls = [ball for ball in found if ball is not None]
         ends.append(max(balls or [*(feet or frames), own], key=_reach))
     return ends
 
