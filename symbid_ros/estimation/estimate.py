@@ -233,6 +233,11 @@ class Estimate:
         return any(name.startswith("base/") for name in self.residual_rmse)
 
     @property
+    def impossible_links(self) -> tuple[str, ...]:
+        """Links whose inertia no body has."""
+        return tuple(link for link, is_possible in self.consistent.items() if not is_possible)
+
+    @property
     def predicts_better(self) -> bool:
         """Whether predictions improve and err little, and no alarm is about what spoils them too.
 

@@ -17,7 +17,7 @@ from symbid_ros.identification.contacts import with_robot_options
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.stored_information import columns_of
 from symbid_ros.model.coupling import Coupling
-from symbid_ros.model.impossible_links import describe_impossible_links
+from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
 from symbid_ros.model.ripple import Ripple
@@ -100,6 +100,24 @@ def choose_prior(options: IdentifyOptions, parameters: ParameterSet) -> Prior:
     if options.prior_percent is not None:
         return model_prior(parameters, options.prior_percent)
     return default_prior(parameters)
+
+
+def describe_impossible_links(model: RobotModel) -> str:
+    """Return a sentence that names moving links whose inertia no body has; empty if none.
+
+    Massless links are possible.
+    """
+    moving = model.links[0 if model.floating else 1 :]
+    names = [link.name for link in moving if not link.virtual and not is_consistent(link.phi)]
+    if not names:
+        return ""
+    which = f"link {names[0]} is" if len(names) == 1 else f"links {', '.join(names)} are"
+    return (
+        f"{model.source}: {which} physically impossible: a principal moment of inertia is negative "
+        "or exceeds the sum of the other two, or the mass is not positive; the prior is around "
+        "these values, and `method` map_lmi identifies possible links near them; correct their "
+        "<inertial>"
+    )
 
 
 def with_load_reference(

@@ -165,7 +165,7 @@ def _log_unwritten(parameters: ParameterSet, estimate: Estimate, out: Path) -> N
             out,
             ", ".join(lost),
         )
-    impossible = _impossible_links(estimate)
+    impossible = estimate.impossible_links
     kept = f"impossible bodies, which other programs may refuse: {', '.join(impossible)}"
     for name, remarks in (
         ("model.urdf", (*([kept] if impossible else []), *unwritten(identified))),
@@ -282,12 +282,8 @@ def _mjcf(
 
 
 def _warning(estimate: Estimate) -> str:
-    impossible = _impossible_links(estimate)
+    impossible = estimate.impossible_links
     return f"physically impossible: {', '.join(impossible)}" if impossible else ""
-
-
-def _impossible_links(estimate: Estimate) -> list[str]:
-    return [link for link, is_possible in estimate.consistent.items() if not is_possible]
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ Names of topics, joints and sensors are matched first. Then the log itself tells
 units.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -18,10 +19,9 @@ from symbid_ros.identification.conventions.assumed_contacts import assumed_conta
 from symbid_ros.identification.log_reading import MINUTE
 from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.topics import Topic, TopicSelection, describe_topics, is_measured
-from symbid_ros.messages.types import IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
+from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.load import is_mjcf, load_model
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.offline.base_topics import contact_flags, odometry_topics, pose_topics
 from symbid_ros.offline.force_plates import PlateContacts, find_plate_contacts
 from symbid_ros.offline.log_corrections import LogCorrections
 from symbid_ros.offline.name_matching import joints_by_robot, match_names, most_similar
@@ -32,6 +32,8 @@ from symbid_ros.signals.streams import JointStream, Streams
 from symbid_ros.signals.wheels import rolling_wheels, wheel_advice
 
 SPAN = 4 * 10**9  # ns of a log that show its names
+# Words of a topic of contact flags, one of which its name must contain.
+CONTACT_WORDS = re.compile(r"contact|touch|stance|ground", re.IGNORECASE)
 COMMAND_WORDS = "command", "cmd", "desired", "setpoint", "target"  # in names of topics
 FEWEST_LEGS = 2  # of a robot whose base hardly ever is fixed
 
@@ -305,22 +307,21 @@ class _TopicMatcher:
 
     def find_poses(self) -> None:
         """Name the topic of the base's pose if there is no IMU."""
-        found = [*pose_topics(self.topics), *odometry_topics(self.topics)]
+        found = [*self._of_type(POSE), *self._of_type(ODOMETRY)]
         for topic in found:
-            one = next(each for each in self.topics if each.name == topic)
-            if streams := self._read(self.setup.options["joint_topic"][0], one):
-                self.worlds.setdefault(streams.poses[0].world, topic)
+            if streams := self._read(self.setup.options["joint_topic"][0], topic):
+                self.worlds.setdefault(streams.poses[0].world, topic.name)
         if self.setup.options.get("imu_topic"):
             for topic in found:
                 self.setup.note(
-                    "pose_topic", f"Beside the IMU, {topic} may be given if it is measured."
+                    "pose_topic", f"Beside the IMU, {topic.name} may be given if it is measured."
                 )
         elif found:
-            self._use_pose(found[0])
+            self._use_pose(found[0].name)
 
     def _use_pose(self, topic: str) -> None:
         self.setup.add("pose_topic", topic, "CHECK: it must be measured, not estimated.")
-        if topic in pose_topics(self.topics):
+        if topic in [each.name for each in self._of_type(POSE)]:
             self.setup.add("pose_frame", self.robot.link_names[0], "CHECK: this is a guess.")
 
     def find_plates(self) -> None:
@@ -371,7 +372,7 @@ class _TopicMatcher:
 
     def find_drives(self) -> None:
         """Name the topic that tells when a wheeled base drives."""
-        odometry = odometry_topics(self.topics)
+        odometry = [each.name for each in self._of_type(ODOMETRY)]
         if len(odometry) == 1:
             self.setup.add("wheel_topic", odometry[0], "The base counts as fixed while it stands.")
             return
@@ -421,6 +422,24 @@ class _TopicMatcher:
         except SymbidError as error:
             self.fault = self.fault or error
         return found
+
+
+def contact_flags(topics: Sequence[Topic], robot: RobotModel) -> dict[str, str]:
+    """Return the frames of contacts by the Bool topics that are about them.
+
+    Topics whose name resembles no frame, or the same frame as another, are left out.
+    """
+    sensors = [frame.name for frame in robot.frames]
+    known = [*sensors, *robot.link_names]
+    found: dict[str, str] = {}
+    for topic in sorted(topics, key=lambda one: one.name):
+        if topic.msgtype != BOOL or not CONTACT_WORDS.search(topic.name):
+            continue
+        name = CONTACT_WORDS.sub("", topic.name)
+        frame = most_similar(name, "", sensors) or most_similar(name, "", known)
+        if frame is not None and frame not in found.values():
+            found[topic.name] = frame
+    return found
 
 
 def _preference(topic: str, joints: JointStream) -> tuple[bool, bool, bool, int, str]:

@@ -134,7 +134,7 @@ def render(content: ReportContent) -> str:
         "best_realistic": best_labels(content.realistic, REALISTIC_METRICS),
         "figures": _figures(content),
         "impossible": {
-            result.label: impossible_links(result.estimate.consistent)
+            result.label: result.estimate.impossible_links
             for result in content.results
             if result.estimate is not None
         },
@@ -332,8 +332,3 @@ def option_text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-
-
-def impossible_links(consistent: dict[str, bool]) -> tuple[str, ...]:
-    """Return the links that are physically impossible."""
-    return tuple(link for link, possible in consistent.items() if not possible)

@@ -49,7 +49,7 @@ def estimate_status(
     estimate: Estimate, alarms: Sequence[str], details: Mapping[str, object]
 ) -> NodeStatus:
     """Return the status of an estimate, with further key-value pairs."""
-    impossible = [link for link, possible in estimate.consistent.items() if not possible]
+    impossible = estimate.impossible_links
     faults = [f"physically impossible: {', '.join(impossible)}"] if impossible else []
     values: dict[str, object] = {"method": estimate.method, "samples": estimate.samples}
     if estimate.determined is not None:

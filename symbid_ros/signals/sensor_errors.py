@@ -12,7 +12,6 @@ from symbid_ros.choices import SENSOR_ERROR_KINDS
 from symbid_ros.dynamics.placements import displaced
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.realignment import advanced
 from symbid_ros.signals.sensor_samples import SensorSamples
 
 # Typical calibration errors: standard deviations per component.
@@ -293,7 +292,7 @@ class SensorErrors:
         imus, wrenches = len(self.imu_frames), len(self.wrench_frames)
 
         def moved(values: FloatArray, late: FloatArray) -> FloatArray:
-            each = [advanced(values[:, i], readings.stamp, one) for i, one in enumerate(late)]
+            each = [_advanced(values[:, i], readings.stamp, one) for i, one in enumerate(late)]
             return np.stack(each, axis=1) if each else values
 
         realigned = replace(
@@ -305,7 +304,7 @@ class SensorErrors:
             late[own] = delay
         effort = readings.effort.copy()
         for one in np.unique(late).tolist():
-            effort[:, late == one] = advanced(effort[:, late == one], readings.stamp, one)
+            effort[:, late == one] = _advanced(effort[:, late == one], readings.stamp, one)
         realigned = replace(realigned, effort=effort)
         if not imus:
             return realigned
@@ -380,6 +379,40 @@ def _behind_gears(readings: SensorSamples, compliance: FloatArray) -> SensorSamp
         velocity=readings.velocity - rates[1],
         acceleration=readings.acceleration - rates[2],
     )
+
+
+def _advanced(values: FloatArray, stamp: IntArray, delay: float) -> FloatArray:
+    """Return what a late sensor reports ``delay`` later, so that its readings are in time.
+
+    A cubic polynomial through four neighbours interpolates uniform samples (Lagrange), which are
+    low-passed, so that it is exact for practical purposes. The first and last values are repeated.
+
+    Parameters
+    ----------
+    values : (N, ...) float64
+        NaN affects its neighbours only.
+    stamp : (N,) int64
+        Nanoseconds, nearly uniform.
+    delay : float
+        Seconds; negative if the sensor's stamps are late.
+    """
+    count = len(values)
+    if delay == 0 or count < 2:
+        return values
+    time = 1e-9 * (stamp - stamp[0])
+    place = np.interp(time + delay, time, np.arange(count))
+    width = min(4, count)
+    first = np.clip(np.floor(place).astype(np.int64) + 1 - width // 2, 0, count - width)
+    place -= first
+    weights = np.ones((count, width))
+    for one in range(width):
+        for other in range(width):
+            if one != other:
+                weights[:, one] *= (place - other) / (one - other)
+    realigned: FloatArray = np.einsum(
+        "nk,nk...->n...", weights, values[first[:, None] + np.arange(width)]
+    )
+    return realigned
 
 
 def _component_names(kind: str) -> tuple[str, ...]:

@@ -17,9 +17,8 @@ from symbid_ros.messages.types import BOOL, ODOMETRY, POSE, fill_stamp, odometry
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import load_robot
-from symbid_ros.offline.base_topics import contact_flags
 from symbid_ros.offline.robot_file import load_robot_file
-from symbid_ros.offline.robot_setup import inspect_robot
+from symbid_ros.offline.robot_setup import contact_flags, inspect_robot
 
 
 @pytest.fixture(scope="module")
