@@ -420,27 +420,27 @@ class SolvedProblem:
         residuals: dict[str, float],
         rank: int | None = None,
     ) -> Estimate:
+        """Return the estimate with the values and deviations (p,) that a method found."""
         parameters, prior = self.problem.parameters, self.posterior.prior
-        p, choice = len(parameters), self.problem.choice
+        p, inertial, choice = len(parameters), parameters.inertial, self.problem.choice
         contacts = parameters.model.contacts
         before = np.linalg.norm(self.posterior.prior_factor[:p], axis=1)
         determined = np.asarray(std < DETERMINED * before)
         # After the data widen the prior far, even half its variance may exceed the stated one.
-        stated = self.problem.prior.std[: parameters.inertial]
-        determined[: parameters.inertial] &= std[: parameters.inertial] <= stated
+        determined[:inertial] &= std[:inertial] <= self.problem.prior.std[:inertial]
         if choice is not None:
             # Fixed terms are exactly at their value; the solution is so to rounding.
             chosen = {f"{one}/{term}" for one, terms in choice.by_joint.items() for term in terms}
             fixed = np.array([name not in chosen for name in parameters.names])
-            fixed[: parameters.inertial] = False
+            fixed[:inertial] = False
             fixed[parameters.sensor_offsets] = False
-            value = np.concatenate([np.where(fixed, prior.mean[:p], value[:p]), value[p:]])
+            value = np.where(fixed, prior.mean[:p], value)
             std = np.where(fixed, 0.0, std)
         # The same holds of links that the log does not show, to the solver's tolerance.
-        moved = np.abs(value[:p] - prior.mean[:p])[: parameters.inertial].reshape(-1, 10)
-        is_moved = np.any(moved > UNMOVED * before[: parameters.inertial].reshape(-1, 10), axis=1)
-        same = np.append(np.repeat(~is_moved, 10), np.zeros(len(value) - parameters.inertial, bool))
-        value = np.where(same, np.append(prior.mean[:p], value[p:]), value)
+        is_moved = np.abs(value - prior.mean[:p]) > UNMOVED * before
+        is_moved[:inertial] = np.repeat(is_moved[:inertial].reshape(-1, 10).any(axis=1), 10)
+        is_moved[inertial:] = True
+        value = np.where(is_moved, value, prior.mean[:p])
         return Estimate(
             method=method,
             model=parameters.model.name,
