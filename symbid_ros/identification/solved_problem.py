@@ -1,6 +1,6 @@
 """Solves a problem with any method: observations and a prior in, an estimate out."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,6 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.alarms import HEAVY_DEVIATIONS, alarms, heavy_link_alarms
 from symbid_ros.estimation.change import discounted_pseudo_measurements
 from symbid_ros.estimation.directions import DETERMINED
-from symbid_ros.estimation.estimate import Estimate, mass_text
 from symbid_ros.estimation.mass_scale import (
     FORCE_SCALE_STD,
     UNCHECKED,
@@ -35,23 +34,15 @@ from symbid_ros.identification.rows.window_comparison import (
     WindowComparison,
     solve_window,
 )
-from symbid_ros.identification.terms.remarks import held_remarks, joints_without_rows
-from symbid_ros.model.held_joints import held_positions
-from symbid_ros.model.inertia import is_consistent
-from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.wrist_sensors import links_beyond, sensor_names
-from symbid_ros.package_paths import package_version
+from symbid_ros.identification.solution_estimate import estimate_of, payload_remarks, row_std
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN
 
 # Mean square difference of two estimates, in deviations, above which the model is wrong. It is a
 # few hundredths for logs that obey the model.
 DISAGREEMENT = 1.0
 
-SOFTWARE = f"symbid_ros {package_version()}"
 # Change, in posterior standard deviations, at which a trial has converged.
 TRIAL = 1e-3
-# Parameters of a link that all move by less than this share of their prior deviation stay.
-UNMOVED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -281,15 +272,10 @@ class SolvedProblem:
                 weighing_std=self._weighing_std,
                 is_scale_stated=problem.force_scale_std is not None,
             )
-        estimate = self._estimate(
-            method,
-            value[:p],
-            std,
-            condition=float(singular[0] / singular[-1]),
-            residuals=self._residuals(value),
-        )
-        remarks = (*estimate.remarks, *self._payload_remarks(value, change))
-        noise = {} if verdict is None else self._row_std(value, verdict.effective)
+        condition = float(singular[0] / singular[-1])
+        estimate = estimate_of(self, method, value, std, condition=condition)
+        remarks = (*estimate.remarks, *payload_remarks(self, value, change))
+        noise = {} if verdict is None else row_std(self.chosen, value, verdict.effective)
         has_contacts = problem.parameters.model.contacts is not None
         correlation = self.chosen.residual_correlation(value) if has_contacts and noise else None
         return Identification(
@@ -302,24 +288,6 @@ class SolvedProblem:
             change,
             correlation,
         )
-
-    def _payload_remarks(self, value: FloatArray, change: FloatArray | None) -> Iterator[str]:
-        """Yield the mass behind each wrist sensor that carries moving links, such as fingers."""
-        parameters = self.problem.parameters
-        column = {int(link): 10 * place for place, link in enumerate(parameters.links)}
-        for frame in parameters.model.wrist_sensors:
-            own, *moving = links_beyond(parameters.model, frame)
-            masses = [column[link] for link in (own, *moving) if link in column]
-            if not moving:
-                continue
-            std = np.linalg.norm(self.posterior.deviation_factor[masses].sum(axis=0))
-            if change is not None:
-                std = np.hypot(std, change[masses].sum())
-            names = ", ".join(parameters.model.link_names[link] for link in moving)
-            yield (
-                f"beyond {frame}: {mass_text(float(value[masses].sum()), float(std))} kg together "
-                f"with the moving {names}; the report states their common centre of mass"
-            )
 
     def truncated(
         self,
@@ -366,14 +334,9 @@ class SolvedProblem:
         else:
             z = informative_rank(self.posterior, scaled.rank)
         value = scaled.solution(z)
-        estimate = self._estimate(
-            method,
-            value,
-            scaled.std(z, problem.prior.std),
-            condition=float(scaled.singular_values[0] / scaled.singular_values[z - 1]),
-            residuals=self._residuals(value),
-            rank=z,
-        )
+        condition = float(scaled.singular_values[0] / scaled.singular_values[z - 1])
+        std = scaled.std(z, problem.prior.std)
+        estimate = estimate_of(self, method, value, std, condition=condition, rank=z)
         return Identification(
             estimate,
             problem.data,
@@ -382,102 +345,6 @@ class SolvedProblem:
             value,
             problem.row_builder,
         )
-
-    def _residuals(self, value: FloatArray) -> dict[str, float]:
-        """Return the RMS residual of each coordinate that has rows."""
-        residuals = self.chosen.rows.residual_rmse(value)
-        used = self.chosen.counts.diagonal() > 0
-        return {
-            name: rmse
-            for (name, rmse), has_rows in zip(residuals.items(), used, strict=True)
-            if has_rows
-        }
-
-    def _row_std(self, value: FloatArray, effective: float) -> dict[str, float]:
-        """Return the standard deviation of a row's residual, of each coordinate with enough rows.
-
-        The residuals are smaller than the noise, because parameters were fitted to them: by the
-        share of the independent rows that the effective parameters use up.
-        """
-        one = self.chosen
-        squares = one.rows.residual_moment(value).diagonal()
-        rows = one.counts.diagonal()
-        used = max(int(np.count_nonzero(rows)), 1)
-        left = rows - one.inflation * effective / used
-        return {
-            name: float(np.sqrt(square / number))
-            for name, square, number in zip(one.layout.coordinates, squares, left, strict=True)
-            if number > 0
-        }
-
-    def _estimate(
-        self,
-        method: Method,
-        value: FloatArray,
-        std: FloatArray,
-        *,
-        condition: float,
-        residuals: dict[str, float],
-        rank: int | None = None,
-    ) -> Estimate:
-        """Return the estimate with the values and deviations (p,) that a method found."""
-        parameters, prior = self.problem.parameters, self.posterior.prior
-        p, inertial, choice = len(parameters), parameters.inertial, self.problem.choice
-        contacts = parameters.model.contacts
-        before = np.linalg.norm(self.posterior.prior_factor[:p], axis=1)
-        determined = np.asarray(std < DETERMINED * before)
-        # After the data widen the prior far, even half its variance may exceed the stated one.
-        determined[:inertial] &= std[:inertial] <= self.problem.prior.std[:inertial]
-        if choice is not None:
-            # Fixed terms are exactly at their value; the solution is so to rounding.
-            chosen = {f"{one}/{term}" for one, terms in choice.by_joint.items() for term in terms}
-            fixed = np.array([name not in chosen for name in parameters.names])
-            fixed[:inertial] = False
-            fixed[parameters.sensor_offsets] = False
-            value = np.where(fixed, prior.mean[:p], value)
-            std = np.where(fixed, 0.0, std)
-        # The same holds of links that the log does not show, to the solver's tolerance.
-        is_moved = np.abs(value - prior.mean[:p]) > UNMOVED * before
-        is_moved[:inertial] = np.repeat(is_moved[:inertial].reshape(-1, 10).any(axis=1), 10)
-        is_moved[inertial:] = True
-        value = np.where(is_moved, value, prior.mean[:p])
-        return Estimate(
-            method=method,
-            model=parameters.model.name,
-            names=parameters.names,
-            units=parameters.units,
-            value=value,
-            prior=prior.mean[:p],
-            std=std,
-            determined=determined,
-            rank=rank,
-            condition=condition,
-            samples=round(self.chosen.rows.samples),
-            residual_rmse=residuals,
-            consistent={
-                link: is_consistent(phi)
-                for link, phi in zip(parameters.link_names, parameters.link_phi(value), strict=True)
-            },
-            inputs=self.problem.inputs,
-            software=SOFTWARE,
-            known=parameters.known_values,
-            joint_terms=None if choice is None else dict(choice.by_joint),
-            remarks=(*self.problem.remarks, *held_remarks(parameters.model), *self._term_remarks()),
-            wrist_sensors=sensor_names(parameters.model),
-            load_reference=_load_reference(parameters),
-            courses=tuple(one for one in parameters.courses if one[0] >= 0),  # of this log
-            contacts=() if contacts is None else contacts.names,
-            force_only=parameters.model.force_only,
-            end_stops=parameters.model.end_stops,
-            gravity=None if parameters.model.floating else tuple(parameters.model.gravity.tolist()),
-            held_joints=held_positions(parameters.model),
-        )
-
-    def _term_remarks(self) -> tuple[str, ...]:
-        problem = self.problem
-        if problem.choice is not None:
-            return problem.choice.remarks
-        return joints_without_rows(self.chosen, problem.parameters)
 
 
 def _with_all_errors(problem: Problem, found: Posterior, chosen: Observations) -> Posterior:
@@ -520,14 +387,6 @@ def _solve(
     if not approximate:
         simple = solve_window(problem, apart, simple.mean, tolerance)
     return simple, apart
-
-
-def _load_reference(parameters: ParameterSet) -> dict[str, float]:
-    """Return the link parameters that give the joints' load, if any term needs them."""
-    if "load" not in parameters.terms:
-        return {}
-    reference = parameters.load_reference.tolist()
-    return dict(zip(parameters.names[: parameters.inertial], reference, strict=True))
 
 
 def _with_window(candidates: Sequence[Observations], window: float) -> Observations:
