@@ -13,6 +13,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from symbid_ros.choices import TERMS
 from symbid_ros.estimation import posterior as production
+from symbid_ros.estimation import quadratic_cost
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
 from symbid_ros.estimation.prior import default_prior
@@ -171,7 +172,7 @@ def test_comparisons_have_half_of_the_digits(name, empirical, monkeypatch):
     monkeypatch.setattr(production, "REWHITENINGS", 200)
     monkeypatch.setattr(production, "APPROXIMATE_TURNS", 200)
     if name.startswith("noise beyond"):
-        monkeypatch.setattr(production, "MAX_NOISE_SHARE", 0.2)
+        monkeypatch.setattr(quadratic_cost, "MAX_NOISE_SHARE", 0.2)
     log, prior, known = case(1, **CASES.get(name, {"noisy": 0.5}))
     observations = log.observations()
     whole = posterior(observations, prior, known, empirical=empirical)
@@ -227,7 +228,7 @@ def test_data_that_say_nothing_leave_the_prior_as_stated():
 
 @pytest.mark.parametrize("name", ["plain", "correlated prior", "weighed", "masked"])
 def test_the_evidence_is_that_of_all_rows_at_once(name, monkeypatch):
-    monkeypatch.setattr(production, "WEAK_INFORMATION", 0)
+    monkeypatch.setattr(quadratic_cost, "WEAK_INFORMATION", 0)
     log, prior, known = case(3, count=40, **CASES[name])
     for misjudged in (0.2, 5.0):
         wrong = prior.widened(np.full(len(prior.std), misjudged))
@@ -266,7 +267,7 @@ def test_what_the_data_hardly_know_does_not_widen_the_prior_alone(monkeypatch):
     assert found.chosen_scale == pytest.approx(without.chosen_scale, rel=0.3)
     assert abs(found.mean - prior.mean)[place] < prior.std[place]
     # The same effect in a direction that the data know is a wrong prior.
-    monkeypatch.setattr(production, "WEAK_INFORMATION", 0)
+    monkeypatch.setattr(quadratic_cost, "WEAK_INFORMATION", 0)
     assert posterior(unlike.observations(), prior, empirical=True).chosen_scale > 10
 
 
@@ -528,5 +529,7 @@ def test_one_direction_in_a_hundred_may_be_noise():
         # The rows' information is 99 times the prior's.
         noise = 100 * np.diag(np.pad(shares, (0, count - 3)))
         zero = np.zeros(count)
-        square = production._Square(99 * np.eye(count), zero, noise, zero, np.eye(1), None)
+        square = quadratic_cost.QuadraticCost(
+            99 * np.eye(count), zero, noise, zero, np.eye(1), None
+        )
         assert square.noise_share(np.ones(count)) == pytest.approx(expected)
