@@ -231,7 +231,7 @@ def load_problem(
     corrected = _corrected(options, parameters, dataset)
     if corrected is not options:
         return load_problem(robot, log, corrected, out, read)
-    # Only now, because a program with threads may not be copied for reading.
+    # Only now, because reading takes all cores.
     digests = _digests(robot, options, log)
     if read is None:
         checks = _check(dataset, streams, options, parameters, prior, watch=watch)

@@ -8,7 +8,6 @@ import logging
 import multiprocessing
 import signal
 import sys
-import threading
 import traceback
 import warnings
 from collections.abc import Iterator
@@ -31,10 +30,10 @@ _is_allowed: ContextVar[bool] = ContextVar("reading_processes", default=False)
 
 @contextmanager
 def reading_processes() -> Iterator[None]:
-    """Let logs be read by processes of their own while the context lasts, beside other threads.
+    """Let logs be read by processes of their own while the context lasts.
 
-    The threads must not be those of other libraries: where one of them held a lock, the copy of the
-    process would wait for ever.
+    Only for programs whose threads are all their own, such as commands: where a thread of another
+    library held a lock, the copy of the process would wait for ever.
     """
     token = _is_allowed.set(True)
     try:
@@ -45,9 +44,8 @@ def reading_processes() -> Iterator[None]:
 
 def can_read_in_process() -> bool:
     """Return whether a log may be read by a process of its own."""
-    is_safe = _is_allowed.get() or threading.active_count() == 1
     may_have_children = not multiprocessing.current_process().daemon
-    return is_safe and may_have_children and sys.platform == "linux"
+    return _is_allowed.get() and may_have_children and sys.platform == "linux"
 
 
 def read_in_process(
