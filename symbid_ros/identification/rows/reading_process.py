@@ -20,7 +20,6 @@ from queue import Queue
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import BagError
 from symbid_ros.identification.rows.segment_store import SegmentStore
-from symbid_ros.package_paths import PACKAGE
 from symbid_ros.progress import report, reported_to
 from symbid_ros.shutdown import deferred
 from symbid_ros.signals.segments import Segment
@@ -102,8 +101,9 @@ def read_in_process(
             "E235",
         ) from None
     finally:
-        process.kill()
-        process.join()
+        if process.pid is not None:
+            process.kill()
+            process.join()
         receiving.close()
 
 
@@ -118,8 +118,7 @@ def _send_all(
     receiving.close()  # so that sending fails once the other process is gone
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other process ends this one
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    package = logging.getLogger(PACKAGE)
-    package.handlers, package.propagate = [_Sender(sending)], False
+    logging.root.handlers = [_Sender(sending)]
     error = None
     try:
         with reported_to(lambda *step: sending.send(("progress", step))):
