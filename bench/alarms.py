@@ -514,7 +514,7 @@ def shortened(said: str) -> str:
 
 def print_table(faults: Container[str], robots: Container[str], seed: int) -> None:
     """Print rows of docs/diagnosis.md."""
-    print("| fault | robot | what is said | error, σ: largest | RMS |")
+    print("| fault | robot | output | error, σ: largest | RMS |")
     print("|---|---|---|---|---|")
     for name, robot, known in TABLE:
         if name not in faults or robot not in robots:

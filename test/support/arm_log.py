@@ -37,6 +37,10 @@ def arm_streams(model, seconds=40.0, seed=0, *, rate=200.0, friction=0.0, restin
     position = middle + size * angle
     velocity = size * slope * phase_rate[:, None]
     acceleration = size * (bend * phase_rate[:, None] ** 2 + slope * phase_acceleration[:, None])
+    position = model.apply_mimics(position)
+    velocity, acceleration = (
+        model.apply_mimics(each, rates=True) for each in (velocity, acceleration)
+    )
     empty = np.zeros((len(time), 3))
     samples = Samples(
         stamp=np.round(time * 1e9).astype(np.int64),
