@@ -223,7 +223,7 @@ def _identify_offline(
     out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
 ) -> None:
     """Identify with every method, and write the results and the report."""
-    from symbid_ros.cli.tables import metrics_table
+    from symbid_ros.cli.tables import print_metrics
     from symbid_ros.estimation.provenance import command_line
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.options import IdentifyOptions
@@ -304,7 +304,7 @@ def _identify_offline(
     )
     write_report(content, out / "report.html")
     progress.advance(task)
-    console.print(metrics_table(content.methods))
+    print_metrics(console, content.methods)
 
 
 def _truncations(prepared: "LoadedProblem", validation: Path) -> "dict[tuple[str, str], Estimate]":
@@ -450,7 +450,7 @@ def _report(
     out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
 ) -> None:
     """Compare the saved estimate with the truth, and write the report."""
-    from symbid_ros.cli.tables import metrics_table
+    from symbid_ros.cli.tables import print_metrics
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import load_bag, read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import GroundTruth, compose, describe_estimate, describe_log
@@ -478,4 +478,4 @@ def _report(
     )
     write_report(content, out / "report.html")
     progress.advance(task)
-    console.print(metrics_table(content.methods))
+    print_metrics(console, content.methods)

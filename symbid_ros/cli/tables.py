@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from rich import box
-from rich.console import Console, RenderableType
+from rich.console import Console, JustifyMethod, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -22,7 +22,7 @@ from symbid_ros.identification.predictions.force_errors import ForceError
 from symbid_ros.identification.predictions.validation_result import Validation
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.options import spelled
-from symbid_ros.report.content import METRICS, REALISTIC_METRICS, MethodResult, best_labels
+from symbid_ros.report.content import METRICS, REALISTIC_METRICS, MethodResult, Metric, best_labels
 from symbid_ros.report.formatting import counted, significant, with_std
 
 ERRORS = ("measured", "before", "after"), ("before %", "after %", "in 90 %")
@@ -37,7 +37,6 @@ UNITS = {one.key: one.unit for one in (*METRICS, *REALISTIC_METRICS)} | {
     "com_coverage": "of the true values",
     "torque_coverage": "of the true values",
 }
-NARROW = 60  # columns, below which names of streams would break into single letters
 SHOWN = 20  # number of lost ranges to print; --json gives all
 
 
@@ -124,10 +123,9 @@ def _print_topics(
             )
         return table
 
-    options = console.options.update(max_width=UNLIMITED)
     tables = table(False, False), table(False, True), table(True, True)
     for one in (*tables, table(True, True, is_dense=True)):
-        if console.measure(one, options=options).minimum <= console.width:
+        if _fits(console, one):
             console.print(one)
             return
     console.print(table(False, False, folds=True))
@@ -215,31 +213,27 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 def _print_streams(console: Console, diagnosis: Diagnosis) -> None:
     """Print a line for each stream; on a narrow terminal, columns continue below."""
     headers = ("count", "Hz"), ("gaps", "gap s")
-    is_narrow = console.width < NARROW
-    rows: list[tuple[str, list[Text | str]]] = [
-        (
-            one.topic,
-            [
-                str(one.messages),
-                f"{one.rate_hz:.4g}",
-                str(one.gaps),
-                f"{one.longest_gap_s:.3g}",
-                _verdict(diagnosis.of(one.topic), "\n" if is_narrow else ", "),
-            ],
-        )
-        for one in diagnosis.streams
-    ]
-    if is_narrow:
-        print_table(console, "stream", [*headers, ("verdict",)], rows, style=box.HEAVY_HEAD)
-        return
     table = Table()
-    table.add_column("stream", overflow="fold")
-    for name in (*headers[0], *headers[1]):
-        table.add_column(name, justify="right", no_wrap=True)
+    for name in ("stream", *headers[0], *headers[1]):
+        justify: JustifyMethod = "left" if name == "stream" else "right"
+        table.add_column(name, justify=justify, no_wrap=True)
     table.add_column("verdict", overflow="fold")
-    for name, cells in rows:
-        table.add_row(Text(name), *cells)
-    console.print(table)
+    rows: list[Row] = []
+    for one in diagnosis.streams:
+        numbers = str(one.messages), f"{one.rate_hz:.4g}", str(one.gaps), f"{one.longest_gap_s:.3g}"
+        found = diagnosis.of(one.topic)
+        table.add_row(Text(one.topic), *numbers, _verdict(found, ", "))
+        rows.append((one.topic, [*numbers, _verdict(found, "\n")]))
+    if _fits(console, table):
+        console.print(table)
+    else:
+        print_table(console, "stream", [*headers, ("verdict",)], rows, style=box.HEAVY_HEAD)
+
+
+def _fits(console: Console, table: Table) -> bool:
+    """Return whether no name would break."""
+    options = console.options.update(max_width=UNLIMITED)
+    return console.measure(table, options=options).minimum <= console.width
 
 
 def _verdict(findings: tuple[Finding, ...], separator: str) -> Text:
@@ -353,22 +347,14 @@ def errors_table(title: str, errors: Mapping[str, float]) -> Table:
     return table
 
 
-def metrics_table(methods: Sequence[MethodResult]) -> Table:
-    """Return a table of methods and their metrics, at most 80 columns wide.
+def print_metrics(console: Console, methods: Sequence[MethodResult]) -> None:
+    """Print methods and their metrics.
 
     The best value of each column has a star and is bold. A method without metrics shows dashes.
     """
-    table = Table(
-        title="Errors against the ground truth",
-        caption="*: best of each column",
-        box=box.SIMPLE_HEAD,
-        title_justify="left",
-        caption_justify="left",
-    )
-    table.add_column("", no_wrap=True)
-    for metric in METRICS:
-        table.add_column(f"{metric.title}\n[dim]{metric.unit}[/dim]", justify="right", no_wrap=True)
+    groups = tuple(tuple(map(_header, some)) for some in (METRICS[:2], METRICS[2:]))
     best = best_labels({method.label: method.metrics or {} for method in methods}, METRICS)
+    rows: list[Row] = []
     for method in methods:
         metrics = method.metrics or {}
         cells = [
@@ -376,8 +362,13 @@ def metrics_table(methods: Sequence[MethodResult]) -> Table:
             for metric in METRICS
             for shown in [significant(metrics.get(metric.key))]
         ]
-        table.add_row(Text(method.label), *cells)
-    return table
+        rows.append((method.label, cells))
+    print_table(console, "", groups, rows, title="Errors against the ground truth")
+    console.print(Text("*: best of each column", style="dim italic"))
+
+
+def _header(metric: Metric) -> str:
+    return f"{metric.title}\n[dim]{metric.unit}[/dim]"
 
 
 def print_validation(found: Validation) -> None:
