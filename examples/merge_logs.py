@@ -14,16 +14,17 @@ def main(model: str, *bags: str) -> None:
     options = sy.IdentifyOptions(method="map")
     information = []
     for bag in bags:
-        # A few hundred kilobytes, however long the log.
+        # At most tens of megabytes, however long the log.
         information.append(sy.identify(robot, sy.load_bag(bag, robot), options).information)
-        result = sy.identify(robot, sy.merge(information), options)
+        merged = sy.merge(information)
+        result = sy.identify(robot, merged, options)
         mass = sum(link.mass for link in result.links.values())
         determined = sum(one.is_determined for one in result.parameters.values())
         print(
-            f"{len(information)} logs: {mass:.3f} kg, {determined} of {len(result.parameters)} "
+            f"with {bag}: {mass:.3f} kg, {determined} of {len(result.parameters)} "
             "single parameters determined"
         )
-    information[-1].save("information.npz")  # for `symbid identify --information`
+        merged.save("information.npz")  # for `symbid identify --information`
 
 
 if __name__ == "__main__":

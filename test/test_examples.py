@@ -14,6 +14,7 @@ from preloaded import PreloadedProcess
 from random_robots import random_robot
 from tree_simulation import TreeSimulation
 
+import symbid_ros as sy
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
@@ -68,7 +69,9 @@ def test_logs_are_merged(tmp_path) -> None:
         # All force sensors may share a gain of 1 %.
         assert mass == pytest.approx(true, rel=0.01)
         assert determined > len(parameters) / 2
-    assert (tmp_path / "information.npz").is_file()
+    saved = sy.LogInformation.load(tmp_path / "information.npz")
+    both = sy.identify(sy.load_model(model), saved, method="map")
+    assert f"{sum(link.mass for link in both.links.values()):.3f} kg" in said.splitlines()[-1]
 
 
 def test_the_regressor_alone(tmp_path) -> None:
