@@ -264,7 +264,7 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
     for key in keys:
         if isinstance(key, yaml.ScalarNode):
             if key.value in seen:
-                _refuse(key.start_mark, f"{key.value} is given twice")
+                _refuse(key.start_mark, f"{key.value} is given twice; remove one of them")
             seen.add(key.value)
     return keys + [value for _, value in node.value]
 

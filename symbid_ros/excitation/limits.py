@@ -184,11 +184,11 @@ def read_limits(file: Path, joints: Mapping[str, Joint]) -> dict[str, dict[str, 
             f"{file}: {error.strerror}; give an existing `limits` file", "E580"
         ) from (None)
     except ValueError as error:
-        raise OptionError(f"{file}: {error}; correct that line", "E580") from None
+        raise OptionError(f"{file}: {error}", "E580") from None
     entries = content.get(ROOT) if isinstance(content, dict) else None
     if not isinstance(entries, dict):
         raise OptionError(
-            f"{file}: has no mapping `{ROOT}`; write it as MoveIt's joint_limits.yaml", "E580"
+            f"{file}: has no mapping '{ROOT}'; write it as MoveIt's joint_limits.yaml", "E580"
         )
     return {
         str(name): _stated(file, str(name), entry)

@@ -28,7 +28,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
             f"{path}: cannot be read ({error.strerror}); name an existing file", "E603"
         ) from None
     except ValueError as error:
-        raise SimulationError(f"{path}: {error}; correct that line", "E603") from None
+        raise SimulationError(f"{path}: {error}", "E603") from None
     if not isinstance(content, dict):
         raise SimulationError(
             f"{path}: not a mapping; write one line 'name: value' for each entry", "E604"

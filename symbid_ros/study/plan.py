@@ -363,7 +363,7 @@ def load_plan(name: str) -> tuple[Plan, Path]:
             f"{path}: cannot be read ({error.strerror}); give an existing file", "E701"
         ) from None
     except ValueError as error:
-        raise StudyError(f"{path}: {error}; correct that line", "E702") from None
+        raise StudyError(f"{path}: {error}", "E702") from None
     if not isinstance(content, dict):
         raise StudyError(f"{path}: not a study; give at least title, data and priors", "E702")
     try:

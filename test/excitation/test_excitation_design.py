@@ -9,6 +9,7 @@ import pytest
 from documented_robots import ur5_urdf
 from scipy.sparse import csc_array
 
+from symbid_ros.cli.flags import flag
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.prior import planning_prior
 from symbid_ros.excitation.files import write_plan
@@ -23,6 +24,7 @@ from symbid_ros.excitation.optimizer import (
 from symbid_ros.excitation.options import ExciteOptions
 from symbid_ros.excitation.plan import ExcitationPlan, excitation_problem
 from symbid_ros.model.load import load_model
+from symbid_ros.options import spelled
 from symbid_ros.simulation.joint_sensors import JointSensorOptions
 
 SENSORS = JointSensorOptions()
@@ -188,6 +190,27 @@ def test_an_impossible_limit_is_refused(arm, tmp_path, limit):
     with pytest.raises(OptionError, match=r"of joint elbow_joint") as error:
         joint_limits({joint.name: joint for joint in arm.joints}, {}, file)
     assert error.value.code == "E580"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("joints: {elbow_joint: {}}\n", "has no mapping 'joint_limits'; write it as MoveIt's"),
+        ("<robot/>: [", "correct it"),
+        ("joint_limits: {}\njoint_limits: {}\n", "given twice; remove one of them"),
+    ],
+)
+def test_the_error_of_another_file_gives_one_advice_in_the_words_of_the_file(
+    arm, tmp_path, text, says
+):
+    """The key of the file is not spelled as a flag."""
+    file = tmp_path / "joint_limits.yaml"
+    file.write_text(text)
+    with pytest.raises(OptionError) as error:
+        joint_limits({joint.name: joint for joint in arm.joints}, {}, file)
+    message = spelled(str(error.value), flag)
+    assert says in message
+    assert message.count(";") == 1
 
 
 def test_a_limits_file_states_ranges_and_efforts_that_the_model_lacks(arm, tmp_path):
