@@ -47,7 +47,7 @@ def print_info(info: BagInfo) -> None:
     console.print(Text(f"{info.bag}: {_size(info.size)}{distro}"), soft_wrap=True)
     if info.start is not None and info.end is not None:
         console.print(f"{_time(info.start)} to {_time(info.end)}, {info.duration:.3f} s")
-    console.print(f"{info.count} messages")
+    console.print(counted(info.count, "message"))
     for file in info.files:
         console.print(Text(f"{file.name}: {', '.join(_traits(file))}"), soft_wrap=True)
         if file.fault:
@@ -73,7 +73,7 @@ def print_recovery(recovery: RecoveryReport) -> None:
     if len(recovery.holes) > SHOWN:
         console.print(f"and {len(recovery.holes) - SHOWN} more lost ranges, see --json")
     if recovery.repeated:
-        console.print(f"{recovery.repeated} repeated chunks left out")
+        console.print(f"{counted(recovery.repeated, 'repeated chunk')} left out")
     for count, name in (
         (recovery.attachments, "attachments"),
         (recovery.metadata, "metadata records"),
@@ -96,8 +96,7 @@ def _print_topics(
     On a narrow terminal, types break behind the package, then topics behind each slash. Names break
     anywhere only if that does not suffice. In a pipe, each topic has one line.
     """
-    if not (console.is_terminal or "COLUMNS" in os.environ):
-        console = Console(highlight=False, width=UNLIMITED)
+    console = _as_wide_as_needed(console)
 
     def table(*breaks: bool, is_dense: bool = False, folds: bool = False) -> Table:
         table = Table(
@@ -145,7 +144,7 @@ def _traits(file: FileInfo) -> Iterator[str]:
         yield f"written by {file.recorded_by}"
     for count, name in ((file.attachments, "attachment"), (file.metadata, "metadata record")):
         if count:
-            yield f"{count} {name}{'s' if count > 1 else ''}"
+            yield counted(count, name)
 
 
 def _hole(hole: LostRange) -> str:
@@ -212,6 +211,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
 def _print_streams(console: Console, diagnosis: Diagnosis) -> None:
     """Print a line for each stream; on a narrow terminal, columns continue below."""
+    console = _as_wide_as_needed(console)
     headers = ("count", "Hz"), ("gaps", "gap s")
     table = Table()
     for name in ("stream", *headers[0], *headers[1]):
@@ -228,6 +228,13 @@ def _print_streams(console: Console, diagnosis: Diagnosis) -> None:
         console.print(table)
     else:
         print_table(console, "stream", [*headers, ("verdict",)], rows, style=box.HEAVY_HEAD)
+
+
+def _as_wide_as_needed(console: Console) -> Console:
+    """Return a console without a limit of width if it writes to a pipe or a file."""
+    if console.is_terminal or "COLUMNS" in os.environ:
+        return console
+    return Console(highlight=False, width=UNLIMITED)
 
 
 def _fits(console: Console, table: Table) -> bool:

@@ -9,7 +9,7 @@ SMALL = 1e-4  # below which a value and its deviation would have four leading ze
 
 def counted(number: float, noun: str) -> str:
     """Return a number with its noun, such as ``1 alarm`` or ``2 alarms``."""
-    return f"{number:g} {noun}" if number == 1 else f"{number:g} {noun}s"
+    return f"{number:.10g} {noun}{'' if number == 1 else 's'}"
 
 
 def significant(value: float | None, digits: int = 3) -> str:

@@ -189,3 +189,12 @@ def test_streams_keep_their_names_and_verdicts(width, capsys, monkeypatch):
     assert topic in shown
     assert {"8000", "200", "3", "0.125"} <= set(shown)
     assert {"disorder", "duplicate"} <= {word.strip(",") for word in shown}
+
+
+def test_in_a_pipe_each_stream_has_a_line(capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    topic = "/left_arm/force_torque_sensor_broadcaster/wrench_of_the_left_tool"
+    stream = StreamFigures(topic, 8000, 40.0, 200.0, 0.0, 3, 4, 0.125)
+    print_diagnosis(Diagnosis("log", (stream,), (), {}, ()))
+    (line,) = [one for one in capsys.readouterr().out.splitlines() if topic in one]
+    assert line.split()[1::2] == [topic, "8000", "200", "3", "0.125", "clean"]

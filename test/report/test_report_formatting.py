@@ -80,3 +80,7 @@ def test_one_thing_is_singular() -> None:
     assert [counted(n, "period") for n in (0, 1, 1.0, 2.5)] == [
         *("0 periods", "1 period", "1 period", "2.5 periods"),
     ]
+
+
+def test_a_count_keeps_all_digits() -> None:
+    assert counted(12_345_678, "message") == "12345678 messages"
