@@ -1,5 +1,6 @@
 """Results of several robots of one type, made comparable: equal columns, prior and windows."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -130,14 +131,25 @@ def fleet(robot: RobotModel, data: Mapping[str, tuple[Observations, ...]]) -> Fl
     return estimate_fleet(members, pooled.problem.parameters)
 
 
+def percent_with_std(value: float, std: float, sign: str = "") -> str:
+    """Return a share and its standard deviation in percent, with a decimal or more.
+
+    The standard deviation has at least one digit that is not zero.
+    """
+    value, std = 100 * value, 100 * std
+    decimals = max(1, -math.floor(math.log10(std))) if std > 0 else 1
+    value = round(value, decimals) + 0.0  # without the sign of a rounded zero
+    return f"{value:{sign}.{decimals}f} ± {std:.{decimals}f} %".replace("-", "−")
+
+
 def describe_deviation(found: Deviation) -> str:
     """Return a deviation as a clause, such as ``robot_3: forearm_link is 10.1 ± 0.4 % heavier``."""
     if found.relative is None or found.relative_std is None:
         text = f"{found.robot}: {found.place} has other friction or armature"
     else:
         word = "heavier" if found.relative > 0 else "lighter"
-        percent, std = 100 * abs(found.relative), 100 * found.relative_std
-        text = f"{found.robot}: {found.place} is {percent:.1f} ± {std:.1f} % {word}"
+        change = percent_with_std(abs(found.relative), found.relative_std)
+        text = f"{found.robot}: {found.place} is {change} {word}"
     if found.alternatives:
         text += f", or {' or '.join(found.alternatives)} has changed"
     return text

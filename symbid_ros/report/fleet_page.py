@@ -8,6 +8,7 @@ from symbid_ros.identification.fleet import (
     describe_deviation,
     detectable_changes,
     fleet_verdict,
+    percent_with_std,
     spread_sizes,
 )
 from symbid_ros.report.formatting import ABSENT, significant, with_std
@@ -97,5 +98,4 @@ def change_table(found: FleetEstimate) -> tuple[tuple[str, ...], list[tuple[str,
 def _change(one: MassChange | None) -> str:
     if one is None or not one.is_shown:
         return ABSENT
-    change = round(100 * one.relative, 1) + 0.0  # without the sign of a rounded zero
-    return f"{change:+.1f} ± {100 * one.std:.1f} %".replace("-", "−")
+    return percent_with_std(one.relative, one.std, "+")

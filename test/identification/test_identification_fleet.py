@@ -21,7 +21,12 @@ from symbid_ros.estimation.mass_scale import FORCE_SCALE_STD
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.prior import model_prior
 from symbid_ros.estimation.prior_std import body_covariance
-from symbid_ros.identification.fleet import fleet_of_results, fleet_verdict, spread_sizes
+from symbid_ros.identification.fleet import (
+    fleet_of_results,
+    fleet_verdict,
+    percent_with_std,
+    spread_sizes,
+)
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.fleet_page import change_table, render_fleet
@@ -51,6 +56,20 @@ def test_the_fleet_knows_more_than_one_robot(draw) -> None:
     inertial = found.parameters.inertial
     ratio = (found.common_std / np.median(found.single_stds, axis=0))[:inertial]
     assert ratio.min() < 0.6  # of six robots, 0.41 at best
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "shown"),
+    [
+        (0.107, 0.0113, "+10.7 ± 1.1 %"),
+        (-0.205, 0.085, "−20.5 ± 8.5 %"),
+        (0.00012, 0.0003, "+0.01 ± 0.03 %"),
+        (-0.00001, 0.002, "+0.0 ± 0.2 %"),
+        (0.0, 0.0, "+0.0 ± 0.0 %"),
+    ],
+)
+def test_a_small_standard_deviation_is_not_rounded_to_zero(value, std, shown) -> None:
+    assert percent_with_std(value, std, "+") == shown
 
 
 def test_the_page_names_the_link_and_holds_no_script(draw) -> None:
