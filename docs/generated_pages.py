@@ -56,7 +56,8 @@ class Options(GeneratedTable):
             command = command.commands[name]
         groups: dict[str, list[tuple[str, ...]]] = defaultdict(list)
         for option in command.params:
-            if option.param_type_name != "option" or option.name in ("help", "verbose", "quiet"):
+            is_general = option.name in ("help", "verbose", "quiet")
+            if option.param_type_name != "option" or is_general or option.hidden:
                 continue
             flags = " ".join(f"`{flag}`" for flag in option.opts)
             shown = option.default

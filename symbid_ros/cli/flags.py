@@ -1,7 +1,7 @@
 """Flags of commands, generated from dataclasses of options."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -52,11 +52,12 @@ def flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def with_flags(function: Callable[..., None]) -> Callable[..., None]:
+def with_flags(function: Callable[..., None], hidden: Collection[str] = ()) -> Callable[..., None]:
     """Replace each parameter that is a dataclass of options by one flag for each option.
 
     The function receives the dataclass with the values of the flags. If it has a parameter
-    ``robot``, options that are not given have the values in that robot file.
+    ``robot``, options that are not given have the values in that robot file. The help leaves out
+    ``hidden`` options, which the function refuses with a reason.
     """
     hints = get_type_hints(function, include_extras=True)
     groups: dict[str, type] = {}
@@ -66,7 +67,7 @@ def with_flags(function: Callable[..., None]) -> Callable[..., None]:
         options = options_of(hint) if hasattr(hint, "__dataclass_fields__") else ()
         if options:
             groups[parameter.name] = hint
-            shown += [_parameter(option) for option in options]
+            shown += [_parameter(one, hidden=one.name in hidden) for one in options]
         else:
             shown.append(parameter.replace(annotation=hint))
     # Keyword-only parameters may be in any order; others need those without a default first.
@@ -141,7 +142,7 @@ def require_model(model: Path | None, name: str = "`model`") -> Path:
     return model
 
 
-def _parameter(option: Option) -> inspect.Parameter:
+def _parameter(option: Option, *, hidden: bool) -> inspect.Parameter:
     kind: Any = Literal[option.choices] if option.choices else option.kind
     if option.is_sequence:
         kind = list[kind]
@@ -158,6 +159,7 @@ def _parameter(option: Option) -> inspect.Parameter:
         max=option.maximum,
         metavar=option.metavar or (f"<{option.unit}>" if option.unit else metavar),
         rich_help_panel=option.group or None,
+        hidden=hidden,
         show_default=default not in (None, "") and default is not False,
     )
     return inspect.Parameter(

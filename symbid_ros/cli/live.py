@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,6 +34,11 @@ AS_IT_IS: dict[str, Any] = {"soft_wrap": True, "markup": False, "highlight": Fal
 # Parameters of the identifier that the page needs as well.
 SHARED_WITH_PAGE = "prior", "joint_topic", "rename_joint", "flip_joint", "hold_joint"
 
+OF_COMPLETE_LOGS = (
+    *("start", "stop", "jobs", "no_holdout", "full_rate", "export_kinematics"),
+    *("filter", "cutoff", "channels", "choose_truncation", "validate", "select_by", "sensor_std"),
+)
+
 WebPage = Annotated[
     bool, typer.Option("--web", help="Also show a page in the browser, with the robot in 3D.")
 ]
@@ -41,7 +47,7 @@ WebPort = Annotated[
 ]
 
 
-@with_flags
+@partial(with_flags, hidden=OF_COMPLETE_LOGS)
 def live(
     *,
     model: Annotated[

@@ -21,7 +21,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rich.console import Console
 
-from symbid_ros.cli.live import given_parameters, report_end, saved_part_named
+from symbid_ros.cli.flags import flag
+from symbid_ros.cli.live import OF_COMPLETE_LOGS, given_parameters, report_end, saved_part_named
 from symbid_ros.errors import SymbidError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
@@ -69,6 +70,16 @@ def test_options_of_complete_logs_are_refused(symbid_here, option) -> None:
     assert (refused.returncode, refused.stdout) == (2, "")
     assert f"{option[0]} has no effect live" in refused.stderr
     assert "E503" in refused.stderr
+
+
+@pytest.mark.parametrize("name", OF_COMPLETE_LOGS)
+def test_the_help_leaves_out_options_that_are_always_refused(symbid_here, name) -> None:
+    row = re.compile(rf"^│ +{flag(name)} ", re.MULTILINE)
+    shown = {
+        command: row.search(symbid_here(command, "--help", columns=200).stdout) is not None
+        for command in ("identify", "live")
+    }
+    assert shown == {"identify": True, "live": False}
 
 
 def test_an_earlier_result_is_kept(symbid_here, tmp_path) -> None:
