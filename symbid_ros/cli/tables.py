@@ -196,7 +196,8 @@ STYLES = {Severity.CLEAN: "green", Severity.WARNING: "yellow", Severity.UNUSABLE
 def print_diagnosis(diagnosis: Diagnosis) -> None:
     """Print a log's streams, the findings and the verdict."""
     console = Console(highlight=False)
-    _print_streams(console, diagnosis)
+    if diagnosis.streams:
+        _print_streams(console, diagnosis)
     # Rich does not wrap these lines, so that a pipe receives them complete.
     for finding in diagnosis.findings:
         line = Text(f"{finding.kind.value}: ", style=STYLES[finding.severity])

@@ -198,3 +198,9 @@ def test_in_a_pipe_each_stream_has_a_line(capsys, monkeypatch):
     print_diagnosis(Diagnosis("log", (stream,), (), {}, ()))
     (line,) = [one for one in capsys.readouterr().out.splitlines() if topic in one]
     assert line.split()[1::2] == [topic, "8000", "200", "3", "0.125", "clean"]
+
+
+def test_a_log_that_cannot_be_read_has_no_empty_table(capsys):
+    found = Finding.of("/joint_states", Kind.CLOCK_JUMP, "the clock jumps", {})
+    print_diagnosis(Diagnosis("log", (), (found,), {}, ()))
+    assert capsys.readouterr().out.splitlines()[0] == "clock_jump: /joint_states: the clock jumps"
