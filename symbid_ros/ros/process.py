@@ -127,10 +127,13 @@ def run_node(name: str, work: Work, *, purpose: str, parameters: Sequence[Parame
         # rcl reports malformed --ros-args and parameter files as RuntimeError.
         if not _is_argument_error(error):
             raise
-        is_unparsed = any(each in str(error) for each in UNPARSED)
-        quotes = "quote list entries with colons, and " if is_unparsed else ""
         text = " ".join(str(error).split())
-        print(f"{name}: {text}; {quotes}check --ros-args", file=sys.stderr)
+        advice = "check --ros-args"
+        if any(each in text for each in UNPARSED):
+            advice = f"quote list entries with colons, and {advice}"
+        elif "ROS_DOMAIN_ID" in text:
+            advice = "correct that environment variable"
+        print(f"{name}: {text}; {advice}", file=sys.stderr)
         return FAILURE
     finally:
         rclpy.try_shutdown()

@@ -69,8 +69,9 @@ class WebServer:
         try:
             self._server = _Server((host, port), _handler_of(self))
         except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
             raise SymbidError(
-                f"web page at {host}:{port}: {error}; choose another host or port", "E885"
+                f"web page at {host}:{port}: {reason}; choose another `host` or `port`", "E885"
             ) from None
         self.host, self.port = host, int(self._server.server_address[1])
         self._thread = Thread(target=self._server.serve_forever, daemon=True)

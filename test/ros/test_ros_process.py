@@ -123,6 +123,14 @@ def test_malformed_ros_arguments_end_without_traceback(arguments: tuple[str, ...
     assert "Traceback" not in ended.stderr
 
 
+def test_an_invalid_domain_is_named(monkeypatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "my_robot")
+    ended = run("recorder")
+    assert ended.returncode == 2
+    assert "ROS_DOMAIN_ID is not an integral number" in ended.stderr
+    assert ended.stderr.rstrip().endswith("; correct that environment variable")
+
+
 @pytest.mark.parametrize("is_in_file", [False, True])
 def test_a_list_entry_with_a_colon_needs_quotes(tmp_path: Path, is_in_file: bool) -> None:
     file = tmp_path / "robot.yaml"

@@ -140,7 +140,10 @@ def test_a_slow_page_is_disconnected(server, monkeypatch) -> None:
 def test_a_port_in_use_is_named() -> None:
     with socket.create_server((LOOPBACK, 0)) as other:
         port = other.getsockname()[1]
-        with pytest.raises(SymbidError, match=f"127.0.0.1:{port}") as raised:
+        with pytest.raises(
+            SymbidError,
+            match=f"127.0.0.1:{port}: Address already in use; choose another `host` or `port`",
+        ) as raised:
             WebServer(LOOPBACK, port, str, dict, {})
     assert raised.value.code == "E885"
 
