@@ -3,7 +3,7 @@
 import logging
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,6 +22,11 @@ from symbid_ros.model.load import is_mjcf, load_model
 from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.tree import Joint, RobotModel
 from symbid_ros.model.urdf import UrdfReader, load_urdf
+from symbid_ros.model.wrist_sensors import (
+    sensor_frame,
+    with_wrist_sensors,
+    without_wrist_sensors,
+)
 from symbid_ros.model.xml_file import MAX_BYTES, is_editable, read_bytes, read_xml, with_comment
 
 logger = logging.getLogger(__name__)
@@ -133,6 +138,7 @@ def identified_robot(folder: Path, robot: Path, estimate: Estimate) -> RobotMode
         raise EstimateError(
             f"{folder}: its model cannot be read ({error}); identify the log again", "E527"
         ) from None
+    source, found = (_divided(one, estimate.wrist_sensors) for one in (source, found))
     if reason := _difference(source, found):
         raise EstimateError(
             f"{robot}: not the robot of {folder}: {reason}; give the file that was identified, or "
@@ -148,6 +154,12 @@ def identified_robot(folder: Path, robot: Path, estimate: Estimate) -> RobotMode
     )
     identified = source.with_phi(np.array([phi[name] for name in source.link_names]))
     return with_nonnegative_terms(replace(identified, joints=joints))
+
+
+def _divided(model: RobotModel, sensors: Sequence[str]) -> RobotModel:
+    """Return a robot divided at its wrist sensors, so that each payload keeps its own link."""
+    known = {*model.link_names, *(frame.name for frame in model.frames)}
+    return with_wrist_sensors(model, [one for one in sensors if sensor_frame(one) in known])
 
 
 def _refuse_negative_masses(folder: Path, estimate: Estimate) -> None:
@@ -238,7 +250,7 @@ def _require_parameters(path: Path, wanted: RobotModel) -> None:
     except ModelError as error:
         reason = str(error)
     else:
-        reason = _lost(read, wanted)
+        reason = _lost(read, without_wrist_sensors(wanted))
     if reason:
         raise EstimateError(
             f"{path}: not changed, as the new file would be wrong: {reason}; use a model file of "

@@ -13,11 +13,15 @@ from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import diagnose, identify
+from symbid_ros.identification.installation import install
 from symbid_ros.identification.predictions.comparison import compare
 from symbid_ros.identification.predictions.validation import validate
 from symbid_ros.identification.report_data import load_report_data
+from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.urdf import UrdfReader
+from symbid_ros.model.xml_file import read_xml
 from symbid_ros.signals.log import Log
 
 FRAME = "tool0"
@@ -245,6 +249,22 @@ def test_a_saved_result_predicts_the_sensor_and_merges(arm, measured, tmp_path):
     np.testing.assert_allclose(written.phi, found.robot.phi, atol=1e-9)
     other = identify(arm, found.information, wrist_sensor=(FRAME,), joint_terms=("none",))
     np.testing.assert_allclose(other.estimate.value, found.estimate.value, rtol=1e-6, atol=1e-9)
+
+
+def test_the_users_file_gets_the_payload_in_the_link_of_the_sensor(arm, measured, tmp_path):
+    """The result's own file is the same; the wrist does not become heavier by the payload."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(urdf_text(arm, ur5_urdf()))
+    robot = load_model(file)
+    log = log_of(robot, measured, measured.wrench)
+    identify(robot, log, wrist_sensor=(FRAME,), **FAST).save(tmp_path / "found")
+    install(tmp_path / "found", file)
+    written, expected = (
+        UrdfReader(str(path), read_xml(path)) for path in (file, tmp_path / "found" / "model.urdf")
+    )
+    assert written.phi(FRAME)[0] == pytest.approx(MASS, rel=5e-3)
+    for link in ("wrist_3_link", FRAME):
+        np.testing.assert_allclose(written.phi(link), expected.phi(link), rtol=1e-9, atol=1e-12)
 
 
 def test_a_log_without_the_sensor_is_refused(arm, measured):
