@@ -1,14 +1,16 @@
 """Reactions to SIGINT, SIGTERM and SIGHUP: an event for nodes, an exception for commands."""
 
+import ctypes
 import os
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Event, Thread, current_thread, main_thread
 from typing import NoReturn
 
 SIGNALS = signal.SIGINT, signal.SIGTERM
+SET_PARENT_DEATH_SIGNAL = 1  # Linux's prctl.h
 
 
 def stop_on_signals() -> Event:
@@ -94,6 +96,17 @@ def interrupt_on_sigterm() -> None:
     """Make SIGTERM raise KeyboardInterrupt, as Ctrl-C does; an ignored signal stays ignored."""
     if signal.getsignal(signal.SIGTERM) != signal.SIG_IGN:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+def end_with_parent(parent: int) -> None:
+    """Let SIGINT end this process when its parent has been killed; only Linux can do so.
+
+    Call it before threads start. ``parent`` is the process id, in case the parent died meanwhile.
+    """
+    with suppress(AttributeError, OSError):  # of other systems' C libraries
+        ctypes.CDLL(None).prctl(SET_PARENT_DEATH_SIGNAL, signal.SIGINT)
+    if os.getppid() != parent:
+        os.kill(os.getpid(), signal.SIGINT)
 
 
 def unwind(number: int, _: object) -> NoReturn:

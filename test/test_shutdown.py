@@ -1,5 +1,6 @@
 """Signals as an event."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -18,6 +19,15 @@ print("at work", flush=True)
 while not stop.wait(0):
     pass
 """
+
+CHILD = """
+import os, signal
+from symbid_ros.shutdown import end_with_parent
+end_with_parent(int(os.environ.get("PARENT", os.getppid())))
+print("at work", flush=True)
+signal.pause()
+"""
+PARENT = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {CHILD!r}])"
 
 
 @pytest.fixture(autouse=True)
@@ -67,3 +77,23 @@ def test_interruptible_work_does_not_start_after_shutdown_was_requested() -> Non
     with pytest.raises(SystemExit):
         work()
     assert not begun
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells children of their parent")
+def test_a_child_ends_when_its_parent_is_killed() -> None:
+    command = [sys.executable, "-c", PARENT]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == b"at work\n"
+        parent.kill()
+        # Its output ends with the last process that has it, which is the child.
+        assert parent.communicate(timeout=300) == (b"", None)
+
+
+def test_a_child_whose_parent_has_gone_already_ends() -> None:
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    command, env = [sys.executable, "-c", CHILD], os.environ | {"PARENT": str(gone.pid)}
+    ended = subprocess.run(command, check=False, env=env, capture_output=True, timeout=300)
+    assert ended.returncode == -signal.SIGINT
+    assert ended.stdout == b""

@@ -41,7 +41,9 @@ def private_graph() -> Iterator[dict[str, str]]:
 
 
 class NodeProcess:
-    """A node in a child process, which ends with the ``with`` block.
+    """A node in a child process, which ends with the ``with`` block, or with this process.
+
+    Create it in a thread that lives as long as the node, such as the main thread.
 
     Parameters
     ----------
@@ -78,7 +80,10 @@ class NodeProcess:
             arguments += ["-r", f"{old}:={new}"]
         for key, value in parameters.items():
             arguments += ["-p", f"{key}:={json.dumps(value)}"]  # read as YAML, which includes JSON
-        start = f"from symbid_ros.ros.start import {name}; {name}()"
+        start = (
+            f"from symbid_ros.ros.start import {name}; from symbid_ros.shutdown import "
+            f"end_with_parent; end_with_parent({os.getpid()}); {name}()"
+        )
         try:
             # A signal's exception inside Popen would leave a process that nobody ends.
             with log.open("wb") as stream, deferred():
