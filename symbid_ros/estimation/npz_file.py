@@ -22,7 +22,7 @@ def read_arrays(path: Path, kind: str, code: str = "E410") -> dict[str, np.ndarr
     Raises
     ------
     EstimateError
-        When it cannot be read, exceeds the limits or is no archive of arrays; the latter with
+        When it cannot be read or exceeds the limits. When it is not an archive of arrays, with
         ``code``.
     """
     try:

@@ -1,5 +1,6 @@
 """A log read by a process of its own against the same log read by the test's process."""
 
+import inspect
 import logging
 import multiprocessing
 import os
@@ -132,6 +133,23 @@ def test_a_process_that_is_killed_is_named(segments) -> None:
     with pytest.raises(BagError, match="a bag: the process that reads it was killed") as raised:
         next(items)
     assert raised.value.code == "E235"
+
+
+def test_a_process_that_is_killed_within_a_message_is_named(
+    segments, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
+    large = max(segments, key=len)
+    assert large.nbytes > 1 << 20
+    items = read_in_process("a bag", iter([large, large]), SegmentStore(0), None)
+    next(items)
+    (process,) = multiprocessing.active_children()
+    # The second segment has begun to arrive, and is larger than the pipe.
+    inspect.getgeneratorlocals(items)["receiving"].poll(None)
+    process.kill()
+    process.join()
+    with pytest.raises(BagError, match="a bag: the process that reads it was killed"):
+        next(items)
 
 
 def test_the_process_ends_with_its_reader(segments) -> None:

@@ -80,7 +80,14 @@ def read_in_process(
             process.start()
         sending.close()
         while True:
-            kind, content = receiving.recv()
+            try:
+                kind, content = receiving.recv()
+            except (EOFError, OSError):  # the latter within a message
+                raise BagError(
+                    f"{source}: the process that reads it was killed, perhaps for lack of memory; "
+                    "read it with `jobs` 1",
+                    "E235",
+                ) from None
             if kind == "segment":
                 yield store.receive(content)
             elif kind == "progress":
@@ -94,12 +101,6 @@ def read_in_process(
                 if error is not None:
                     raise error
                 return
-    except EOFError:
-        raise BagError(
-            f"{source}: the process that reads it was killed, perhaps for lack of memory; read it "
-            "with `jobs` 1",
-            "E235",
-        ) from None
     finally:
         if process.pid is not None:
             process.kill()
