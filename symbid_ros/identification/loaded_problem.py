@@ -134,6 +134,17 @@ class LoadedProblem:
         options = replace(self.options, drive_gain=joints, drive_gain_percent=percent)
         return self.with_prior(self.prior, options)
 
+    def with_signed_drives(self) -> "LoadedProblem":
+        """Return the same log with armature and friction that may be negative.
+
+        Residuals without them may show further terms.
+        """
+        options = replace(self.options, signed_drives=True)
+        setup = ProblemSetup(options, self.prior, self.inputs, self.tares, self.checks)
+        solved = setup.solve(self.columns, self.dataset)
+        columns, dataset, solved = setup.with_found_terms(self.columns, self.dataset, solved)
+        return replace(self, options=options, columns=columns, dataset=dataset, solved=solved)
+
     def trial_on(self, dataset: Dataset, columns: ParameterSet) -> "LoadedProblem":
         """Return the same problem with another log and its columns, solved to few digits."""
         setup = ProblemSetup(self.options, self.prior, self.inputs, self.tares, self.checks)

@@ -184,6 +184,13 @@ class IdentifyOptions(RobotOptions):
     offset: bool = option(
         False, "The same as `joint_terms` offset: a constant torque of every joint.", group=JOINTS
     )
+    signed_drives: bool = option(
+        False,
+        "Let armature and viscous friction be negative where the efforts contradict positive ones, "
+        "as those of torque sensors with crosstalk do. By default only if this predicts the last "
+        "quarter of the log better.",
+        group=JOINTS,
+    )
     drive_gain: tuple[str, ...] = option(
         (),
         "Joints whose efforts have an unknown unit or sign, such as motor currents: all, none, or "

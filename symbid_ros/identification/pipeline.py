@@ -16,7 +16,12 @@ from symbid_ros.identification.causes.joint_alarms import with_explained_alarms
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.predictions.force_errors import RELEVANT
-from symbid_ros.identification.predictions.holdout import hold_out, rest_at_end
+from symbid_ros.identification.predictions.holdout import (
+    EndCheck,
+    hold_out,
+    percents,
+    rest_at_end,
+)
 from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.identification.predictions.validation import validate_segments
 from symbid_ros.identification.report_data import ForceSeries
@@ -72,29 +77,37 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
     has_known_units = problem.options.has_known_units
     found = problem.solve()
     log = coverage(problem)
-    checked, forces = None, None
+    check = None
     if not problem.options.no_holdout:
         report("holding out the end of the log")
         try:
-            checked, forces = hold_out(problem, found.window, log.begin)
+            check = hold_out(problem, found.window, log.begin)
         except SymbidError as error:
             reason = rest_at_end(problem) or str(error)
-            checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {reason}")
-        if checked.advice in NOT_BETTER and problem.options.is_empirical:
-            better = _with_kept_prior(problem, checked, log.begin)
-            if better is not None:
-                problem, found, checked, forces = better
+            none = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {reason}")
+            check = EndCheck(none)
+        if check.holdout.advice in NOT_BETTER and problem.options.is_empirical:
+            problem, found, check = _with_kept_prior(problem, check, log.begin) or (
+                problem,
+                found,
+                check,
+            )
+        problem, found, check = _with_signed_drives(problem, check, log.begin) or (
+            problem,
+            found,
+            check,
+        )
     model = problem.columns.model
     # Efforts without signs are predicted badly, and no factor corrects them.
     is_signed = model.floating or not problem.checks.has_unsigned_efforts
     alarm = None
-    if is_signed and checked is not None and checked.advice == "unfit":
-        alarm = UNPREDICTED.format(checked.summary)
-    elif is_signed and checked is not None:
-        wrong = wrong_factors(problem, checked, lambda one: _tried(one, log.begin))
+    if is_signed and check is not None and check.holdout.advice == "unfit":
+        alarm = UNPREDICTED.format(check.holdout.summary)
+    elif is_signed and check is not None:
+        wrong = wrong_factors(problem, check, lambda one: _tried(one, log.begin))
         if wrong is not None:
             alarm = wrong.alarm
-            problem, found, checked, forces = wrong.trial or (problem, found, checked, forces)
+            problem, found, check = wrong.trial or (problem, found, check)
     found = with_explained_alarms(problem, found, has_known_units=has_known_units)
     found = problem.with_provenance(found)
     last = () if alarm is None else (alarm,)
@@ -106,11 +119,12 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
     # A wrong rate of the stamps makes inertias and friction wrong, and other alarms follow from it.
     of_clock = {one.message for one in problem.checks.findings if one.kind is Kind.STAMP_RATE}
     found = found.with_alarms(tuple(sorted(alarms, key=lambda one: one not in of_clock)))
+    forces = None if check is None else check.forces
     if forces is None:
         forces = _predict_end(problem, found, log.begin)
     found = replace(
         found,
-        estimate=replace(found.estimate, holdout=checked),
+        estimate=replace(found.estimate, holdout=None if check is None else check.holdout),
         report=report_data(problem, found, forces, log),
     )
     return problem, found
@@ -118,22 +132,39 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
 
 def _tried(problem: LoadedProblem, begin: int) -> CheckedTrial:
     found = problem.solve()
-    return CheckedTrial(problem, found, *hold_out(problem, found.window, begin))
+    return CheckedTrial(problem, found, hold_out(problem, found.window, begin))
 
 
-def _with_kept_prior(problem: LoadedProblem, before: HoldOut, begin: int) -> CheckedTrial | None:
+def _with_kept_prior(problem: LoadedProblem, before: EndCheck, begin: int) -> CheckedTrial | None:
     """Identify with the stated prior; None unless that predicts the end of the log better."""
     kept = problem.with_prior(problem.prior, replace(problem.options, keep_prior=True))
     try:
         trial = _tried(kept, begin)
     except SymbidError:
         return None
-    found, checked = trial.found, trial.checked
-    errors = checked.percent_after, before.percent_after
-    if errors[0] is None or errors[1] is None or RELEVANT * errors[0] >= errors[1]:
+    found, errors = trial.found, percents(trial.check, before)
+    if errors is None or RELEVANT * errors[0] >= errors[1]:
         return None
-    remarks = (*found.estimate.remarks, PRIOR_KEPT.format(before.summary))
+    remarks = (*found.estimate.remarks, PRIOR_KEPT.format(before.holdout.summary))
     return trial._replace(found=replace(found, estimate=replace(found.estimate, remarks=remarks)))
+
+
+def _with_signed_drives(
+    problem: LoadedProblem, before: EndCheck, begin: int
+) -> CheckedTrial | None:
+    """Identify with negative armature and friction; None unless that predicts the end better.
+
+    Where the equation of motion is wrong, negative terms follow its errors and mislead elsewhere.
+    """
+    choice = problem.solved.problem.choice
+    if choice is None or not choice.contradicts_signs or choice.signed_drives:
+        return None
+    try:
+        trial = _tried(problem.with_signed_drives(), begin)
+        errors = percents(trial.check, before)
+    except SymbidError:
+        return None
+    return trial if errors is not None and RELEVANT * errors[0] < errors[1] else None
 
 
 def _predict_end(problem: LoadedProblem, found: Identification, begin: int) -> ForceSeries | None:

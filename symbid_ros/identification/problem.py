@@ -76,6 +76,9 @@ class Problem:
         What the log leaves open about the scale of efforts.
     alarms : tuple of str
         What contradicts the model besides the rows.
+    allows_signed_drives : bool
+        Whether armature and viscous friction may be negative where the data contradict positive
+        ones.
     force_scale_std : float or None
         Relative deviation of the gain that all forces and efforts have in common, which enters all
         deviations. None: the usual one, which enters those of the masses.
@@ -95,6 +98,7 @@ class Problem:
     term_deviations: FloatArray | None = None
     remarks: tuple[str, ...] = ()
     alarms: tuple[str, ...] = ()
+    allows_signed_drives: bool = False
     force_scale_std: float | None = None
 
     @property

@@ -83,6 +83,7 @@ class ProblemSetup:
             pseudo_measurements=build_pseudo_measurements(options, parameters, prior),
             is_empirical=options.is_empirical,
             inputs=self.inputs,
+            allows_signed_drives=options.signed_drives,
             force_scale_std=options.force_scale,
         )
         if parameters.candidates or (parameters.terms and options.is_empirical):

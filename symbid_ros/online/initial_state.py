@@ -84,6 +84,7 @@ class InitialState:
             pseudo_measurements=build_pseudo_measurements(options, parameters, prior),
             is_empirical=options.is_empirical,
             inputs=tuple(map(str, (robot.source, *options.files))),
+            allows_signed_drives=options.signed_drives,
             force_scale_std=options.force_scale,
         )
         layout = RowLayout.of(parameters)

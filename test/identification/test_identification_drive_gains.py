@@ -261,23 +261,26 @@ def carrying():
     return model, log_of(robot, drives(robot.with_phi(phi), **FRICTION)), phi[-1, 0]
 
 
+def with_error(check, percent):
+    return replace(check, holdout=replace(check.holdout, percent_after=percent))
+
+
 def test_a_missing_tool_is_no_factor_of_all_efforts(carrying):
     """Masses, factors and noise that shrink together explain the log as well."""
     model, log, _ = carrying
     problem = load_problem(model, log, IdentifyOptions())
-    checked, _ = hold_out(problem, problem.solve().window, 0)
-    assert checked.percent_after < 0.1
-    noisy = replace(checked, percent_after=1.0)
+    check = hold_out(problem, problem.solve().window, 0)
+    assert check.holdout.percent_after < 0.1
     tried = []
 
     def by_chance(other):
         found = other.solve()
         tried.append([one.value for one in found.estimate.verdict.sensors])
-        return CheckedTrial(other, found, replace(checked, percent_after=0.5), None)
+        return CheckedTrial(other, found, with_error(check, 0.5))
 
-    assert wrong_factors(problem, checked, by_chance) is None
+    assert wrong_factors(problem, check, by_chance) is None
     assert not tried  # there is nothing to explain
-    assert wrong_factors(problem, noisy, by_chance) is None
+    assert wrong_factors(problem, with_error(check, 1.0), by_chance) is None
     assert np.all(np.abs(tried) < 0.4)
 
 

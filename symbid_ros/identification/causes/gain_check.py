@@ -19,11 +19,10 @@ from symbid_ros.diagnosis.effort_findings import GAINS
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.effort_columns import EffortColumns
-from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.calibration.drive_gains import named_joints
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
-from symbid_ros.identification.report_data import ForceSeries
+from symbid_ros.identification.predictions.holdout import EndCheck, percents
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.wrist_sensors import component_names
 from symbid_ros.options import robot_file_line
@@ -60,12 +59,50 @@ ALIKE = 0.99
 
 
 class CheckedTrial(NamedTuple):
-    """An identification of a log, with its check on the end of the log and the forces there."""
+    """An identification of a log, with its check on the end of the log."""
 
     problem: LoadedProblem
     found: Identification
-    checked: HoldOut
-    forces: ForceSeries | None
+    check: EndCheck
+
+
+class _Improvement(NamedTuple):
+    """A trial with factors, and held-out errors without and with them, %."""
+
+    trial: CheckedTrial
+    before: float
+    after: float
+
+    @property
+    def remains(self) -> float:
+        """Share of the error that remains."""
+        return self.after / self.before
+
+    @property
+    def halves(self) -> bool:
+        """Whether the trial errs by so little that its factors are beyond doubt."""
+        return self.remains <= HALVED
+
+    @property
+    def errors(self) -> str:
+        return (
+            f"the error at the end of the log is {self.after:.2g} % instead of {self.before:.2g} %"
+        )
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """The joints whose factors are unknowns, with reading over torque."""
+        solved = self.trial.problem.solved
+        gains = solved.posterior.mean[len(solved.problem.parameters) :]
+        names = solved.problem.sensor_names
+        return {
+            name.rpartition("/")[0]: float(1 / gain)
+            for name, gain in zip(names, gains, strict=True)
+        }
+
+    @property
+    def named_factors(self) -> str:
+        return ", ".join(f"{joint} {factor:.2g}" for joint, factor in self.factors.items())
 
 
 @dataclass(frozen=True)
@@ -99,7 +136,7 @@ class _Unlike(NamedTuple):
 
 
 def wrong_factors(
-    problem: LoadedProblem, checked: HoldOut, tried: Callable[[LoadedProblem], CheckedTrial]
+    problem: LoadedProblem, check: EndCheck, tried: Callable[[LoadedProblem], CheckedTrial]
 ) -> WrongFactors | None:
     """Return which efforts' factors explain a log better; None if none do.
 
@@ -112,41 +149,44 @@ def wrong_factors(
     Parameters
     ----------
     problem : LoadedProblem
-    checked : HoldOut
+    check : EndCheck
         Its check on the end of the log.
     tried : callable
         Identifies another problem of the log.
     """
-    before = checked.percent_after
-    if before is None or not _is_candidate(problem):
+    if not check.holdout.percent_after or not _is_candidate(problem):
         return None
 
     def trial_with(
         joints: tuple[str, ...], most: float, percent: float | None = None
-    ) -> CheckedTrial | None:
-        """Return an identification with factors of joints, if it errs by at most ``most``, %."""
+    ) -> _Improvement | None:
+        """Return an identification with factors of joints, if at most this share remains."""
         try:
             trial = tried(problem.with_drive_gains(joints, percent))
+            errors = percents(check, trial.check)
         except SymbidError:
             return None
-        after = trial.checked.percent_after
-        return trial if after is not None and after <= most else None
+        if errors is None or errors[1] > most * errors[0]:
+            return None
+        return _Improvement(trial, *errors)
 
     found, every = None, None
     if _square(problem.solved) > LEAST_SQUARE:
-        every = trial_with(("all",), min(REMAINS * before, UNDERSTOOD))
+        every = trial_with(("all",), REMAINS)
+    if every is not None and every.after > UNDERSTOOD:
+        every = None
     if every is not None:
-        found = _of_unlike_joints(every, before, trial_with)
+        found = _of_unlike_joints(every, trial_with)
     if found is not None:
         is_near = not found.is_settled
     else:
-        is_near = _excess(problem.solved) > LEAST_EXCESS or _halves(every, before)
-    if not is_near or before < LEAST_ERROR:
+        is_near = _excess(problem.solved) > LEAST_EXCESS or (every is not None and every.halves)
+    if not is_near or check.holdout.percent_after < LEAST_ERROR:
         return found
-    near = trial_with(("all",), REMAINS_NEAR * before, 100 * PLAUSIBLE)
-    if near is None or not _are_near_and_unlike(list(_factors_of(near).values())):
+    near = trial_with(("all",), REMAINS_NEAR, 100 * PLAUSIBLE)
+    if near is None or not _are_near_and_unlike(list(near.factors.values())):
         return found
-    return WrongFactors(_near_alarm(near, before), near)
+    return WrongFactors(_near_alarm(near), near.trial)
 
 
 def _are_near_and_unlike(factors: Sequence[float]) -> bool:
@@ -161,85 +201,66 @@ def _are_near_and_unlike(factors: Sequence[float]) -> bool:
 
 
 def _of_unlike_joints(
-    every: CheckedTrial, before: float, trial_with: Callable[..., CheckedTrial | None]
+    every: _Improvement, trial_with: Callable[..., _Improvement | None]
 ) -> WrongFactors | None:
     """Return the joints whose efforts have other factors than those of most joints, if any.
 
     ``every`` is the trial with factors of all joints.
     """
-    unlike = _unlike(every.problem.solved)
-    if unlike is None or not (unlike.are_plausible or _halves(every, before)):
+    unlike = _unlike(every.trial.problem.solved)
+    if unlike is None or not (unlike.are_plausible or every.halves):
         return None
-    after = _percent(every)
     some = None
     if unlike.are_plausible or unlike.others_agree:
-        some = trial_with(tuple(unlike.factors), before - LEAST_PART * (before - after))
+        some = trial_with(tuple(unlike.factors), 1 - LEAST_PART * (1 - every.remains))
     if some is not None:
-        said = _alarm(_factors_of(some), before, some.checked)
         return WrongFactors(
-            f"{said}; the factors of these joints are identified, `drive_gain` none takes their "
-            "efforts as they are",
-            some,
+            f"{_alarm(some.factors, some)}; the factors of these joints are identified, "
+            "`drive_gain` none takes their efforts as they are",
+            some.trial,
             unlike.others_agree,
         )
     if not unlike.are_plausible:
-        return WrongFactors(_open_alarm(every, before), every, is_settled=True)
-    if after > REMAINS_OPEN * before:
+        return WrongFactors(_open_alarm(every), every.trial, is_settled=True)
+    if every.remains > REMAINS_OPEN:
         return None
     line = robot_file_line(
         "effort_scale", *(f"{name}:={1 / at:.3g}" for name, at in unlike.factors.items())
     )
     return WrongFactors(
-        f"{_alarm(unlike.factors, before, every.checked)}, or write {line}, or let `drive_gain` "
-        "all identify the factors, which leaves the scale of the masses open without a known "
-        "payload",
+        f"{_alarm(unlike.factors, every)}, or write {line}, or let `drive_gain` all identify the "
+        "factors, which leaves the scale of the masses open without a known payload",
         None,
         unlike.others_agree,
     )
 
 
-def _percent(trial: CheckedTrial) -> float:
-    """Return the held-out error of a trial that has one, %."""
-    return trial.checked.percent_after or 0.0
-
-
-def _halves(trial: CheckedTrial | None, before: float) -> bool:
-    """Return whether a trial errs by so little that its factors are beyond doubt."""
-    return trial is not None and _percent(trial) <= HALVED * before
-
-
-def _alarm(factors: Mapping[str, float], before: float, checked: HoldOut) -> str:
+def _alarm(factors: Mapping[str, float], improvement: _Improvement) -> str:
     named = ", ".join(
         f"{joint} reads {factor:.2g} times the torque" for joint, factor in factors.items()
     )
     return (
-        f"{Alarm.WRONG_FACTORS}: relative to the other joints, {named}; with these factors, the "
-        f"error at the end of the log is {checked.percent_after:.2g} % instead of {before:.2g} %; "
-        "check torque constants and gear ratios"
+        f"{Alarm.WRONG_FACTORS}: relative to the other joints, {named}; with these factors, "
+        f"{improvement.errors}; check torque constants and gear ratios"
     )
 
 
-def _open_alarm(every: CheckedTrial, before: float) -> str:
+def _open_alarm(every: _Improvement) -> str:
     return (
         f"{Alarm.WRONG_FACTORS}: those of the joints differ more than torque constants err, as "
-        f"those of currents do (reading over torque: {_named_factors(every)}); with these, the "
-        f"error at the end of the log is {_percent(every):.2g} % instead of {before:.2g} %; all "
-        "factors are identified, but only their ratios: the scale of factors and masses is that of "
-        "the model file's masses; give a known `payload` or the `effort_scale` of the joints, "
-        "`drive_gain` none takes efforts as they are"
+        f"those of currents do (reading over torque: {every.named_factors}); with these, "
+        f"{every.errors}; all factors are identified, but only their ratios: the scale of factors "
+        "and masses is that of the model file's masses; give a known `payload` or the "
+        "`effort_scale` of the joints, `drive_gain` none takes efforts as they are"
     )
 
 
-def _named_factors(trial: CheckedTrial) -> str:
-    return ", ".join(f"{joint} {factor:.2g}" for joint, factor in _factors_of(trial).items())
-
-
-def _near_alarm(near: CheckedTrial, before: float) -> str:
+def _near_alarm(near: _Improvement) -> str:
     return (
-        f"{Alarm.UNCERTAIN_FACTORS} (reading over torque: {_named_factors(near)}); with these, the "
-        f"error at the end of the log is {_percent(near):.2g} % instead of {before:.2g} %; check "
-        "torque constants, gear ratios and link lengths; the factors are identified and assumed to "
-        f"be 1 within about {100 * PLAUSIBLE:.0f} %, `drive_gain` none takes efforts as they are"
+        f"{Alarm.UNCERTAIN_FACTORS} (reading over torque: {near.named_factors}); with these, "
+        f"{near.errors}; check torque constants, gear ratios and link lengths; the factors are "
+        f"identified and assumed to be 1 within about {100 * PLAUSIBLE:.0f} %, `drive_gain` none "
+        "takes efforts as they are"
     )
 
 
@@ -323,16 +344,6 @@ def wrist_sensor_alarms(problem: LoadedProblem) -> tuple[str, ...]:
                 "ratios, or compare both with a known load"
             )
     return tuple(found)
-
-
-def _factors_of(trial: CheckedTrial) -> dict[str, float]:
-    """Return the joints whose factors are unknowns, with reading over torque."""
-    solved = trial.problem.solved
-    gains = solved.posterior.mean[len(solved.problem.parameters) :]
-    names = solved.problem.sensor_names
-    return {
-        name.rpartition("/")[0]: float(1 / gain) for name, gain in zip(names, gains, strict=True)
-    }
 
 
 def _unlike(solved: SolvedProblem) -> _Unlike | None:

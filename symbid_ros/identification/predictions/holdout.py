@@ -1,7 +1,7 @@
 """Check of an identification on the end of its own log, which a trial identification leaves out."""
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -30,11 +30,51 @@ REPEATED = 0.9
 MOST_STATES, MOST_QUERIES = 20_000, 1_000
 
 
-def hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOut, ForceSeries]:
+@dataclass(frozen=True)
+class EndCheck:
+    """How well an identification without the end of a log predicts that end.
+
+    Attributes
+    ----------
+    holdout : HoldOut
+    forces : ForceSeries or None
+        Measured and predicted forces, unless no part of the log could be left out.
+    window : float
+        Length of the windows of its rows, s; 0 for filtered rows.
+    predictor : ForcePredictor or None
+    held_out : iterable of Segment
+        The end of the log.
+    """
+
+    holdout: HoldOut
+    forces: ForceSeries | None = None
+    window: float = 0.0
+    predictor: ForcePredictor | None = None
+    held_out: Iterable[Segment] = ()
+
+    def percent_over(self, window: float) -> float | None:
+        """Return the error of forces averaged over windows of a length, s, in percent."""
+        if self.predictor is None or window == self.window:
+            return self.holdout.percent_after
+        alike = self.predictor.over_windows(window)
+        return validate_segments(alike, self.held_out, "end of the log").percent_after
+
+
+def percents(one: EndCheck, other: EndCheck) -> tuple[float, float] | None:
+    """Return the errors of two checks on the end of a log in percent; None if one has none.
+
+    An average over a longer window contains less noise, so both are over the longer one.
+    """
+    window = max(one.window, other.window)
+    first, second = one.percent_over(window), other.percent_over(window)
+    return None if first is None or second is None else (first, second)
+
+
+def hold_out(problem: LoadedProblem, window: float, begin: int) -> EndCheck:
     """Identify a log without its last quarter and predict the latter.
 
     ``window`` is the length of the windows, s, 0 for filtered rows. The log begins at ``begin``,
-    ns. Return the errors of the prediction, and measured and predicted forces.
+    ns.
 
     Raises
     ------
@@ -66,7 +106,7 @@ def hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOut
         summary += "; the motion repeats itself there, so other motions may be predicted worse"
     model = predictor.parameters.model
     forces = force_series(found.efforts, model, trace, begin=begin, window=window, is_held_out=True)
-    checked = HoldOut(
+    holdout = HoldOut(
         seconds=found.seconds,
         percent_before=found.percent_before,
         percent_after=found.percent_after,
@@ -76,7 +116,7 @@ def hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOut
         summary=summary,
         file_percents=found.file_percents,
     )
-    return checked, forces
+    return EndCheck(holdout, forces, window, predictor, held_out)
 
 
 def rest_at_end(problem: LoadedProblem) -> str:

@@ -48,11 +48,17 @@ from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.calibrating_rows import CalibratingRows
 
+UNEXPLAINED_SIGNS = (
+    "positive ones do not explain the efforts: torque sensors behind the gears do not measure the "
+    "rotors, or other effects, such as wrong link lengths, act like these terms"
+)
 SIGNED_DRIVES = (
-    "armature and viscous friction may be negative in this result, because positive ones do not "
-    "explain the efforts: torque sensors behind the gears do not measure the rotors, or other "
-    "effects, such as wrong link lengths, act like these terms; model files are written without "
-    "negative ones"
+    "armature and viscous friction may be negative in this result, because "
+    f"{UNEXPLAINED_SIGNS}; model files are written without negative ones"
+)
+POSITIVE_DRIVES = (
+    "armature and viscous friction are positive in this result, although "
+    f"{UNEXPLAINED_SIGNS}; `signed_drives` lets them be negative"
 )
 
 
@@ -76,9 +82,10 @@ class TermChoice:
     deviations : (p + s, k) float64 or None
         N: other sets of terms that explain the data as well add the covariance N Nᵀ of all
         unknowns.
+    contradicts_signs : bool
+        Whether the efforts contradict positive armature and friction.
     signed_drives : bool
-        Whether armature and the slope of friction may be negative, because the efforts contradict
-        positive ones.
+        Whether armature and the slope of friction may be negative.
     window : float or None
         Length of the windows from whose rows the terms were chosen, s; None if no joint has rows.
     unjudged : tuple of str
@@ -91,6 +98,7 @@ class TermChoice:
     remarks: tuple[str, ...] = ()
     slips: bool = False
     deviations: FloatArray | None = None
+    contradicts_signs: bool = False
     signed_drives: bool = False
     window: float | None = None
     unjudged: tuple[str, ...] = ()
@@ -216,7 +224,8 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
     slow = resting_joints(slipping_rows, parameters) & measured
     if slips and parameters.model.contacts is None:
         last = last.with_friction_of(slow)
-    free, signed = last.free, last.has_signed_drives()
+    free, contradicts = last.free, last.contradicts_signs()
+    signed = contradicts and problem.allows_signed_drives
     if signed and "armature" in parameters.terms:
         # What lowers the inertia that efforts show acts on all joints alike.
         free = free.copy()
@@ -231,10 +240,11 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
             *resting_remarks(slipping_rows, parameters, slow, slips=slips),
             *replaceable_terms(parameters, free),
             *inseparable_terms(selections[0].inseparable, parameters, free),
-            *([SIGNED_DRIVES] if signed else []),
+            *([SIGNED_DRIVES if signed else POSITIVE_DRIVES] if contradicts else []),
         ),
         slips,
         last.deviations(),
+        contradicts,
         signed,
         last.rows.window,
         _moved_too_little(slipping_rows, parameters, slow),
@@ -320,7 +330,7 @@ class _Selection:
                 free[columns[term]] |= slow
         return replace(self, free=free)
 
-    def has_signed_drives(self) -> bool:
+    def contradicts_signs(self) -> bool:
         """Return whether the data contradict positive armature and friction."""
         return contradicts_signs(self.found, self.parameters, self.rows)
 

@@ -21,7 +21,12 @@ from symbid_ros.estimation.term_evidence import (
 from symbid_ros.identification.rows.dataset import Dataset
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.identification.terms.resting_joints import motionless_joints
-from symbid_ros.identification.terms.trial import leaves_residuals, training_part, try_columns
+from symbid_ros.identification.terms.trial import (
+    leaves_clear_forces,
+    leaves_residuals,
+    training_part,
+    try_columns,
+)
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.warming import MOST_PARTS, WARMING_TERMS, Course, Warming, courses_of
@@ -81,7 +86,7 @@ def find_couplings(solved: SolvedProblem, dataset: Dataset) -> tuple[Coupling, .
     candidates beside those of the joints.
     """
     choice = solved.problem.choice
-    if choice is None or choice.parameters.couplings or not leaves_residuals(solved):
+    if choice is None or choice.parameters.couplings or not leaves_clear_forces(solved):
         return ()
     pairs = neighbours(choice.parameters)
     if not pairs:
