@@ -87,16 +87,10 @@ def identify_problem(problem: LoadedProblem) -> tuple[LoadedProblem, Identificat
             none = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {reason}")
             check = EndCheck(none)
         if check.holdout.advice in NOT_BETTER and problem.options.is_empirical:
-            problem, found, check = _with_kept_prior(problem, check, log.begin) or (
-                problem,
-                found,
-                check,
-            )
-        problem, found, check = _with_signed_drives(problem, check, log.begin) or (
-            problem,
-            found,
-            check,
-        )
+            kept = _with_kept_prior(problem, check, log.begin)
+            problem, found, check = kept or (problem, found, check)
+        signed = _with_signed_drives(problem, check, log.begin)
+        problem, found, check = signed or (problem, found, check)
     model = problem.columns.model
     # Efforts without signs are predicted badly, and no factor corrects them.
     is_signed = model.floating or not problem.checks.has_unsigned_efforts
@@ -155,9 +149,11 @@ def _with_signed_drives(
     """Identify with negative armature and friction; None unless that predicts the end better.
 
     Where the equation of motion is wrong, negative terms follow its errors and mislead elsewhere.
+    That of a floating base has those of IMUs and contacts as well.
     """
     choice = problem.solved.problem.choice
-    if choice is None or not choice.contradicts_signs or choice.signed_drives:
+    is_arm = not problem.columns.model.floating
+    if choice is None or not (is_arm and choice.contradicts_signs) or choice.signed_drives:
         return None
     try:
         trial = _tried(problem.with_signed_drives(), begin)

@@ -192,14 +192,14 @@ def fold_dataset(
             first=processing.first,
             grouping=processing.grouping,
         )
-        samples, spans = concatenated(probes.parts), tuple(probes.spans)
         observations = tuple(one for one in observations if one.rows.samples > 0)
         if not observations:
             raise DataError(
                 f"{source}: no part between two gaps is long enough for a window of "
-                f"{1e3 * min(used):g} ms and its filter; record longer",
+                f"{1e3 * min(used or windows):g} ms and its filter; record longer",
                 "E521",
             )
+        samples, spans = concatenated(probes.parts), tuple(probes.spans)
     else:
         segments = tuple(segments)
         spans = tuple((int(one.stamp[0]), int(one.stamp[-1])) for one in segments)

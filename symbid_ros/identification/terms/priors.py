@@ -17,9 +17,9 @@ FIXED = 1e-7
 # geared rotor of a light link may explain half of it: with a share of 0.02 the prior outweighed the
 # data of such a finger in five of six logs, with 0.05 in two, and with 0.1 in none.
 LEAST_SHARE = 0.1
-# Ratio of a deviation to the default one from which its column is zero but for rounding, as that of
+# Root mean square, in SI units, below which a column is zero but for rounding, as that of
 # presliding friction is for a joint that does not reverse.
-ROUNDING = 1e6
+ROUNDING = 1e-9
 POSTURES = 20
 RATES = "velocity", "acceleration", "base_angular_velocity", "base_angular_acceleration"
 
@@ -61,6 +61,7 @@ def candidate_prior(
     inertia = _joint_inertia(free, prior.mean)
     std, rows, assumed = prior.std.copy(), observations.rows, set(prior.assumed)
     first = 6 * model.floating
+    least = ROUNDING**2 * observations.counts.diagonal()
     efforts = rows.target_squares.copy()
     if factors is not None:
         efforts[first:] *= factors**2
@@ -74,7 +75,7 @@ def candidate_prior(
                 affected = np.flatnonzero(rows.layout.structure[:, column]).tolist()
             square = sum(rows.column_squares(one, column) for one in affected)
             effort = float(efforts[affected].sum())
-            if square > 0 and effort > 0 and _is_moved(effort / square, std[column]):
+            if square > least[affected].sum() and effort > 0:
                 std[column] = np.sqrt(effort / square)
                 if term == "armature":
                     std[column] = max(inertia[joint], LEAST_SHARE * std[column])
@@ -92,17 +93,10 @@ def candidate_prior(
         coordinates = [first + joint for joint in owners]
         for column in own:
             squares = np.array([rows.column_squares(one, column) for one in coordinates])
-            if parameters.names[column] not in assumed or not np.all(squares > 0):
-                continue
-            variance = float(np.max(efforts[coordinates] / squares))
-            if _is_moved(variance, std[column]):
-                std[column] = np.sqrt(variance)
+            is_moved = np.all(squares > least[coordinates])
+            if parameters.names[column] in assumed and is_moved:
+                std[column] = np.sqrt(np.max(efforts[coordinates] / squares))
     return prior.widened(std / prior.std)
-
-
-def _is_moved(variance: float, std: float) -> bool:
-    """Return whether a log moves a column: its variance is near that of a default deviation."""
-    return variance < (ROUNDING * std) ** 2
 
 
 def named_term_prior(
