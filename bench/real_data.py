@@ -8,7 +8,7 @@ published figures belong to.
 import hashlib
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -73,6 +73,18 @@ class Recording:
             for name, value in vars(self).items()
             if isinstance(value, np.ndarray)
         }
+        return replace(self, **arrays)
+
+    def joined(self, later: "Recording") -> "Recording":
+        """Return this recording followed by a later one, after a second if clocks start anew."""
+        arrays = {
+            name: np.concatenate([value, getattr(later, name)])
+            for name, value in vars(self).items()
+            if isinstance(value, np.ndarray)
+        }
+        if later.time[0] <= self.time[-1]:
+            shifted = later.time - later.time[0] + self.time[-1] + 1.0
+            arrays["time"] = np.concatenate([self.time, shifted])
         return replace(self, **arrays)
 
 
@@ -152,8 +164,10 @@ class RealData:
     convert: Callable[[Sequence[Path]], RealLog]
     note: str
 
-    def find(self, folder: Path) -> list[Path]:
+    def find(self, folder: Path, others: Mapping[str, Path] | None = None) -> list[Path]:
         """Return the files in a folder: under their path in the repository, or side by side.
+
+        ``others`` take the place of files of these names.
 
         Raises
         ------
@@ -162,6 +176,9 @@ class RealData:
         """
         found, missing = [], []
         for name in self.files:
+            if others and Path(name).name in others:
+                found.append(others[Path(name).name])
+                continue
             places = [folder / name, folder / Path(name).name]
             here = next((place for place in places if place.exists()), None)
             found.append(here) if here else missing.append(name)

@@ -4,9 +4,9 @@
 
 DIR holds the files that the script names when they are absent: a checkout of the repository at
 the commit, or the files side by side. The first three quarters of the log are identified with
-default options. The table shows 100 ‖e‖/‖y‖ of the measured force y in the last quarter, for each
-joint and for all. All lines are judged on the same samples: those of `least_squares.py`, at which
-the joint slips.
+default options. The table shows 100 ‖e‖/‖y‖ of the measured force y in the last quarter, or in the
+part that `--held-out` names, for each joint and for all. `--replace NAME=FILE` reads another run.
+All lines are judged on the same samples: those of `least_squares.py`, at which the joint slips.
 """
 
 import argparse
@@ -31,6 +31,13 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.parameters import ParameterSet
 
+# Identified and held-out shares of a log.
+PARTS = {
+    "last": ((0.0, 0.75), (0.75, 1.0)),
+    "first": ((0.25, 1.0), (0.0, 0.25)),
+    "second-half": ((0.0, 0.5), (0.5, 1.0)),
+    "first-half": ((0.5, 1.0), (0.0, 0.5)),
+}
 ALL_DATA = REAL_DATA | FURTHER_DATA | LABORATORY_DATA
 
 
@@ -45,6 +52,14 @@ def main() -> None:
         metavar="NAME=VALUE",
         help="option of the identification, instead of its default",
     )
+    parser.add_argument("--held-out", choices=list(PARTS), help="part of the log")
+    parser.add_argument(
+        "--replace",
+        action="append",
+        default=[],
+        metavar="NAME=FILE",
+        help="file in place of one of this name, such as that of another run",
+    )
     parser.add_argument("--reference-only", action="store_true")
     parser.add_argument("--mass-scale", type=float, default=1.0, help="of the model file's links")
     parser.add_argument("--bags", type=Path, metavar="FOLDER", help="write these, and no table")
@@ -52,20 +67,30 @@ def main() -> None:
     threadpool_limits(1)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     data = ALL_DATA[asked.name]
+    others = dict(each.split("=", 1) for each in asked.replace)
     try:
-        files = data.find(asked.data)
+        files = data.find(asked.data, {name: Path(path) for name, path in others.items()})
     except MissingDataError as error:
         raise SystemExit(str(error)) from None
     print(data.describe(files))
     options = dict(each.split("=", 1) for each in asked.option)
     given = {name: yaml.safe_load(value) for name, value in options.items()}
     log = data.convert(files)
+    if asked.held_out is not None:
+        log = parted(log, asked.held_out)
     log = scaled(log, asked.mass_scale)
     if asked.bags is not None:
         write_files(log, asked.bags)
         print(f"wrote {asked.bags}: robot.urdf and the bags training and held_out")
         return
     report(log, None if asked.reference_only else given)
+
+
+def parted(log: RealLog, held_out: str) -> RealLog:
+    """Return the log with another part held out."""
+    whole = log.training.joined(log.heldout)
+    training, heldout = (whole.part(*shares) for shares in PARTS[held_out])
+    return replace(log, training=training, heldout=heldout)
 
 
 def report(log: RealLog, options: dict[str, object] | None) -> None:

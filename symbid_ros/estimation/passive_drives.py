@@ -5,9 +5,10 @@ sensor between gear and link does not feel the rotor. Its hysteresis, crosstalk 
 a base that bends may show less inertia than that of the links, or friction that falls with speed.
 Stribeck friction may be negative, as that of a joint whose friction rises with speed, but never by
 more than Coulomb friction.
-A likelihood-ratio test compares the best fits with and without positive signs. If the efforts
-contradict these, armatures are free, and friction as a whole must take power: its curve over speed,
-which viscous, Coulomb and Stribeck friction fit together, is positive at the speeds of the log.
+A likelihood-ratio test compares the best fits with and without positive signs. Only if the efforts
+contradict these, armatures may be free. Friction as a whole must then take power: its curve over
+speed, which viscous, Coulomb and Stribeck friction fit together, is positive at the speeds of the
+log.
 """
 
 from collections.abc import Mapping, Sequence

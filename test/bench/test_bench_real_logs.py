@@ -73,6 +73,25 @@ def test_tx40_motor_angles_and_torques_become_those_of_the_joints(tx40_files) ->
     assert np.diff(log.heldout.time) == pytest.approx(2e-4)
 
 
+def test_another_part_of_a_log_is_held_out(tx40_files) -> None:
+    folder, q, _ = tx40_files
+    log = REAL_DATA["tx40"].convert(REAL_DATA["tx40"].find(folder))
+    other = real_logs.parted(log, "first")
+    np.testing.assert_allclose(other.heldout.position, q[: len(q) // 4], atol=1e-9)
+    np.testing.assert_allclose(other.training.position, q[len(q) // 4 :], atol=1e-9)
+    twice = log.training.joined(log.training)
+    assert np.all(np.diff(twice.time) > 0)
+    assert len(twice.time) == 2 * len(log.training.time)
+
+
+def test_the_file_of_another_run_is_read(tx40_files, tmp_path) -> None:
+    folder, *_ = tx40_files
+    data = REAL_DATA["tx40"]
+    angles, *others = data.find(folder)
+    found = data.find(folder, {angles.name: tmp_path / "other.csv"})
+    assert found == [tmp_path / "other.csv", *others]
+
+
 def test_tx40_coupled_friction_acts_with_and_against_both_joints() -> None:
     """Virtual power of rotor 6: τ5 q̇5 + τ6 q̇6 = f (q̇5 + q̇6)."""
     velocity = RNG.normal(size=(40, 6))

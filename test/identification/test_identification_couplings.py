@@ -130,3 +130,17 @@ def test_invalid_couplings_are_refused(robot, text):
 def test_a_coupling_needs_terms():
     with pytest.raises(OptionError, match="coupling"):
         sy.IdentifyOptions(coupling=("a+b",), joint_terms=("none",))
+
+
+@pytest.mark.parametrize("seed", [0, 3, 5, 6])
+def test_a_coupling_is_found_in_a_log_too_short_for_a_test_of_residuals(robot, label, seed):
+    log = log_of(robot, drives(robot, viscous=0.4, coulomb=0.8), seed, extra=coupled, seconds=3.4)
+    found = sy.identify(robot, log, unchecked=True, no_holdout=True)
+    assert label in found.estimate.joint_terms
+
+
+@pytest.mark.parametrize("seconds", [3.0, 5.0])
+def test_no_coupling_is_found_in_a_short_log_without_one(robot, seconds):
+    log = log_of(robot, drives(robot, viscous=0.4, coulomb=0.8), seconds=seconds)
+    found = sy.identify(robot, log, unchecked=True, no_holdout=True)
+    assert list(found.estimate.joint_terms) == list(robot.joint_names)

@@ -14,9 +14,13 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.group_moments import GROUPS, GroupMoments
 from symbid_ros.estimation.information import Information
+from symbid_ros.estimation.prior import default_prior
 from symbid_ros.estimation.row_layout import RowLayout, random_motions
 from symbid_ros.identification import problem_setup
+from symbid_ros.identification.loaded_problem import load_problem
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.terms.choice import choose_terms
+from symbid_ros.identification.terms.priors import candidate_prior
 from symbid_ros.identification.terms.remarks import replaceable_terms
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
@@ -437,3 +441,25 @@ def test_viscous_friction_of_a_short_log_may_be_coulomb_friction():
         assert result.estimate.joint_terms[joint] == ("viscous",)
         found = result.parameters[f"{joint}/viscous"]
         assert abs(found.value - 0.4) < 5 * found.std
+
+
+def test_a_column_that_is_zero_but_for_rounding_keeps_its_default_deviation():
+    """A joint of constant speed shows no armature, and a prior by its column would allow any."""
+    robot = arm()
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, 8.0, 0.005)
+    position, velocity, acceleration = slow_waves(rng, time, len(robot.joints), 1.2)
+    velocity[:, 2], acceleration[:, 2], position[:, 2] = 0.1, 0.0, 0.1 * time
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    rows = equation_of_motion(truth, samples_of(robot, time, position, velocity, acceleration))
+    log = sy.Log.from_arrays(
+        robot, time=time, position=position, effort=rows.K @ truth.values - rows.y
+    )
+    problem = load_problem(robot, log, IdentifyOptions(unchecked=True))
+    columns, rows = problem.columns, problem.dataset.observations[0]
+    default = default_prior(columns)
+    sized = candidate_prior(default, columns, rows)
+    steady = columns.term_columns["armature"].start + 2
+    assert 0 < rows.rows.column_squares(2, steady) < 1e-18
+    assert sized.std[steady] == pytest.approx(default.std[steady])
+    assert sized.std[steady - 1] != pytest.approx(default.std[steady - 1])
