@@ -93,6 +93,8 @@ OTHER_OPTIONS = {
     "--draws",
     "--table",
     "--bags",
+    "--held-out",
+    "--replace",
 }
 SHELL = ("", "sh", "console")
 PROMPT = "$ "
