@@ -7,21 +7,13 @@ from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.estimate import HoldOut
-from symbid_ros.identification.causes.gain_check import (
-    CheckedTrial,
-    wrist_sensor_alarms,
-    wrong_factors,
-)
+from symbid_ros.identification.causes.gain_check import wrist_sensor_alarms, wrong_factors
 from symbid_ros.identification.causes.joint_alarms import with_explained_alarms
+from symbid_ros.identification.end_check import CheckedTrial, EndCheck, percents
 from symbid_ros.identification.identification import Identification
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.predictions.force_errors import RELEVANT
-from symbid_ros.identification.predictions.holdout import (
-    EndCheck,
-    hold_out,
-    percents,
-    rest_at_end,
-)
+from symbid_ros.identification.predictions.holdout import hold_out, rest_at_end
 from symbid_ros.identification.predictions.predictor import ForcePredictor
 from symbid_ros.identification.predictions.validation import validate_segments
 from symbid_ros.identification.report_data import ForceSeries

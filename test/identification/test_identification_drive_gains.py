@@ -10,7 +10,8 @@ import symbid_ros as sy
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.causes.gain_check import CheckedTrial, wrong_factors
+from symbid_ros.identification.causes.gain_check import wrong_factors
+from symbid_ros.identification.end_check import CheckedTrial
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.predictions.holdout import hold_out

@@ -6,9 +6,10 @@ from drive_logs import RATE, SECONDS, arm, drives, log_of
 
 import symbid_ros as sy
 from symbid_ros.estimation.estimate import HoldOut
+from symbid_ros.identification.end_check import EndCheck, percents
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.predictions.holdout import EndCheck, hold_out, percents
+from symbid_ros.identification.predictions.holdout import hold_out
 from symbid_ros.signals.weak_form import WINDOWS
 
 FRICTION = {"viscous": 0.4, "coulomb": 0.8}

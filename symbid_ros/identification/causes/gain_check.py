@@ -20,9 +20,8 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.alarms import Alarm
 from symbid_ros.estimation.effort_columns import EffortColumns
 from symbid_ros.identification.calibration.drive_gains import named_joints
-from symbid_ros.identification.identification import Identification
+from symbid_ros.identification.end_check import CheckedTrial, EndCheck, percents
 from symbid_ros.identification.loaded_problem import LoadedProblem
-from symbid_ros.identification.predictions.holdout import EndCheck, percents
 from symbid_ros.identification.solved_problem import SolvedProblem
 from symbid_ros.model.wrist_sensors import component_names
 from symbid_ros.options import robot_file_line
@@ -56,14 +55,6 @@ CERTAIN, RELEVANT = 3.0, 0.05
 LARGEST, HALVED = 3.0, 0.5
 # Correlation of the factors of a sensor's components, which have one calibration.
 ALIKE = 0.99
-
-
-class CheckedTrial(NamedTuple):
-    """An identification of a log, with its check on the end of the log."""
-
-    problem: LoadedProblem
-    found: Identification
-    check: EndCheck
 
 
 class _Improvement(NamedTuple):
