@@ -123,13 +123,16 @@ def sample(
     edge = round(EDGE / cutoff / period)
     kept = slice(edge, len(force) - edge, max(1, round(1 / (ROWS_PER_SECOND * period))))
     motion = position, velocity, acceleration, base
+    paused = is_near_pause(recording.time, clock[kept], EDGE / cutoff)
     if not contacts:
-        return Sampled(*motion, force[kept], period, cutoff, kept, slipping)
+        force = force[kept]
+        force[paused] = np.nan
+        return Sampled(*motion, force, period, cutoff, kept, slipping)
     above = np.zeros_like(position[:, :3]) if base is None else upward(base, period)
     projections = contact_projections(robot, position, contacts, above)
     found = Sampled(*motion, force[kept], period, cutoff, kept, slipping, projections)
     projected = found.filtered(force)
-    projected[is_near_pause(recording.time, clock[kept], EDGE / cutoff)] = np.nan
+    projected[paused] = np.nan
     return replace(found, force=projected)
 
 

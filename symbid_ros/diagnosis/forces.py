@@ -164,7 +164,9 @@ def check_forces(
         ),
     ]
     shown = {name: one for name, one in efforts.items() if name in known or name not in judged}
-    if not found and not statistics.model.floating and _are_reversed(shown):
+    # The gain of one joint may be known alone, and is negative as those of the others then.
+    names_signs_alone = all(one.kind is Kind.TORQUE_SIGN for one in found)
+    if names_signs_alone and not statistics.model.floating and _are_reversed(shown):
         reversed_gains = {name: gain for name, (gain, _) in efforts.items()}
         found = [sign_finding(joints, reversed_gains, conversions, are_all=True)]
     several = len(found) > MOST_FAULTS and len({one.kind for one in found}) > 1

@@ -255,6 +255,16 @@ def test_wrenches_without_effort_have_no_scale_to_compare_with():
     assert unknown.verdict().findings == ()
 
 
+@pytest.mark.parametrize("first", [-1.5, -0.9])
+def test_joints_that_are_reversed_together_are_all_named(first):
+    """A log that determines no gain, or that of one joint alone, shows the sign of all."""
+    efforts = [first, -0.9, -0.9, -0.9]
+    robot = Robot(efforts=efforts, std=0.32, floating=False, loaded=(False, False))
+    (finding,) = robot.verdict().findings
+    assert set(finding.figures) == {"a/gain", "b/gain", "c/gain", "d/gain"}
+    assert "effort of all joints has the wrong sign; give" in finding.message
+
+
 @pytest.mark.parametrize("common", [0.39, 0.41, 2.45, 2.55])
 def test_gains_that_all_vanish_explain_nothing(common):
     """A fault is one of its sensor only while the others are near the model."""
