@@ -1,5 +1,6 @@
 """Public logs of robots that laboratories built, measured or simulated themselves."""
 
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +13,15 @@ import symbid_ros as sy
 SOLO_LEGS = "FL", "FR", "HL", "HR"
 GEN3 = "Examples/Kinova/SystemIdentification/IterativeSystemIdentification/full_params_data"
 AIRBOT = "examples/airbot_play/data"
+XMATE = "filtering/data/excit"
+# Of each joint of the xMate3 Pro: offset along its axis, m, and quarter turns about the x axis before
+# (modified Denavit-Hartenberg parameters in robot_model.m; all other parameters are zero).
+XMATE_JOINTS = (0.3415, 0.0), (0, -1), (0.394, 1), (0, -1), (0.366, 1), (0, -1), (0.2503, 1)
+XMATE_INERTIAL = """
+    <inertial>
+      <mass value="2"/>
+      <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>
+    </inertial>"""
 
 
 def double_pendulum(files: Sequence[Path]) -> RealLog:
@@ -42,6 +52,34 @@ def airbot(files: Sequence[Path]) -> RealLog:
     position, effort = (np.loadtxt(one, delimiter=",", skiprows=1) for one in rows)
     time = 0.01 * np.arange(len(position))
     return _split(sy.load_model(urdf, base="fixed"), time, position, effort, 5.0)
+
+
+def xmate(files: Sequence[Path]) -> RealLog:
+    """Read a Rokae xMate3 Pro at 1 kHz: torques of its joints' sensors, or of its motors.
+
+    The repository has a kinematic model alone, so every link gets the same mass at its joint.
+    """
+    position, effort = (np.loadtxt(one) for one in files)
+    return _split(xmate_robot(), 0.001 * np.arange(len(position)), position, effort, 10.0)
+
+
+def xmate_robot() -> sy.RobotModel:
+    """Return the xMate3 Pro with inertias that are placeholders."""
+    parts = [f'<robot name="xmate3_pro">\n  <link name="link0">{XMATE_INERTIAL}\n  </link>']
+    for index, (offset, quarters) in enumerate(XMATE_JOINTS):
+        angle = quarters * np.pi / 2
+        y, z = -offset * np.sin(angle), offset * np.cos(angle)
+        parts.append(
+            f'  <link name="link{index + 1}">{XMATE_INERTIAL}\n  </link>\n'
+            f'  <joint name="joint{index + 1}" type="revolute">\n'
+            f'    <parent link="link{index}"/>\n    <child link="link{index + 1}"/>\n'
+            f'    <origin xyz="0 {y} {z}" rpy="{angle} 0 0"/>\n    <axis xyz="0 0 1"/>\n'
+            '    <limit lower="-3" upper="3" effort="85" velocity="2"/>\n  </joint>'
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "xmate3_pro.urdf"
+        path.write_text("\n".join([*parts, "</robot>"]))
+        return sy.load_model(path, base="fixed")
 
 
 def solo12(files: Sequence[Path]) -> RealLog:
@@ -117,6 +155,34 @@ LABORATORY_DATA = {
         },
         airbot,
         "The repository publishes no held-out error for this run.",
+    ),
+    "xmate": RealData(
+        "Rokae xMate3 Pro, 7 joints, torque sensors, 1 kHz, 20 s",
+        "https://github.com/YanjunLIU-ac/Dynamic_Parameter_Identification_for_Rokae_xMate "
+        "commit d5855f4",
+        "no licence stated",
+        {
+            f"{XMATE}/excit_ang_record.txt": ""
+            "5f572aa951b826a2cc28bcf4fd81ac9c6dc33e7d487b415fe99fa819e74e79ba",
+            f"{XMATE}/excit_torque_record.txt": ""
+            "04dcbc3d9f01f5b853a0800c3a629fe20bedf6f97c8ea2a6e3b07bbf577dce88",
+        },
+        xmate,
+        "The repository publishes no held-out error.",
+    ),
+    "xmate_motors": RealData(
+        "Rokae xMate3 Pro, 7 joints, torques of the motors, 1 kHz, 20 s",
+        "https://github.com/YanjunLIU-ac/Dynamic_Parameter_Identification_for_Rokae_xMate "
+        "commit d5855f4",
+        "no licence stated",
+        {
+            f"{XMATE}/excit_ang_record.txt": ""
+            "5f572aa951b826a2cc28bcf4fd81ac9c6dc33e7d487b415fe99fa819e74e79ba",
+            f"{XMATE}/excit_motor_record.txt": ""
+            "bfc42d68614dae12587860649b5e9e3719f9fe1bd3a965cd97a2c00165d189c0",
+        },
+        xmate,
+        "The repository publishes no held-out error.",
     ),
     "solo12": RealData(
         "Solo 12, simulated, 12 joints, trot, no sensors in the feet, 100 Hz, 20 s",

@@ -297,6 +297,28 @@ def test_an_airbot_is_read_at_100_hz(tmp_path) -> None:
     assert np.diff(log.heldout.time) == pytest.approx(0.01)
 
 
+def test_an_xmate_has_the_published_denavit_hartenberg_parameters(tmp_path) -> None:
+    position = RNG.uniform(-1.0, 1.0, (1200, 7))
+    effort = RNG.normal(size=(1200, 7))
+    for path, rows in zip(files_of("xmate", tmp_path), (position, effort), strict=True):
+        np.savetxt(path, rows)
+    data = REAL_DATA["xmate"]
+    log = data.convert(data.find(tmp_path))
+    np.testing.assert_allclose(log.training.effort, effort[:900])
+    assert np.diff(log.training.time) == pytest.approx(1e-3)
+    poses = link_poses(log.robot, position)
+    turn, place = Rotation.identity(len(position)), np.zeros((len(position), 3))
+    quarters = [0.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
+    offsets = [0.3415, 0.0, 0.394, 0.0, 0.366, 0.0, 0.2503]
+    for index, (quarter, offset) in enumerate(zip(quarters, offsets, strict=True)):
+        turn = turn * Rotation.from_euler("x", 90 * quarter, degrees=True)
+        turn = turn * Rotation.from_euler("z", position[:, [index]])
+        place = place + turn.apply([0.0, 0.0, offset])
+        link = log.robot.link_names.index(f"link{index + 1}")
+        np.testing.assert_allclose(poses.rotation[:, link], turn.as_matrix(), atol=1e-9)
+        np.testing.assert_allclose(poses.position[:, link], place, atol=1e-9)
+
+
 def test_the_pose_of_a_base_gives_what_an_imu_feels() -> None:
     """A base that turns about z at 2 rad/s and accelerates along the world's x axis."""
     time = 0.01 * np.arange(60)
