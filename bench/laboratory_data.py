@@ -14,8 +14,8 @@ SOLO_LEGS = "FL", "FR", "HL", "HR"
 GEN3 = "Examples/Kinova/SystemIdentification/IterativeSystemIdentification/full_params_data"
 AIRBOT = "examples/airbot_play/data"
 XMATE = "filtering/data/excit"
-# Of each joint of the xMate3 Pro: offset along its axis, m, and quarter turns about the x axis before
-# (modified Denavit-Hartenberg parameters in robot_model.m; all other parameters are zero).
+# Of each joint of the xMate3 Pro: offset along its axis, m, and quarter turns about the x axis
+# before it (modified Denavit-Hartenberg parameters in robot_model.m; all others are zero).
 XMATE_JOINTS = (0.3415, 0.0), (0, -1), (0.394, 1), (0, -1), (0.366, 1), (0, -1), (0.2503, 1)
 XMATE_INERTIAL = """
     <inertial>
