@@ -29,6 +29,7 @@ import numpy as np
 from development import EXAMPLE_ROBOTS, require_packages
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "test" / "support"))
 from arm_log import arm_streams
@@ -567,6 +568,7 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="identify, and print the table")
     parser.add_argument("--seed", type=int, default=1, help="of the table")
     chosen = parser.parse_args()
+    threadpool_limits(1)
     require_packages(EXAMPLE_ROBOTS)
     CACHE.mkdir(exist_ok=True)
     if chosen.table:

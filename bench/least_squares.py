@@ -13,6 +13,7 @@ import numpy as np
 from real_data import FloatArray, Recording, base_readings, low_pass
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
+from scipy.stats import t as student_t
 
 import symbid_ros as sy
 from symbid_ros.dynamics.contact import contact_jacobian
@@ -24,6 +25,7 @@ ROWS_PER_SECOND = 100.0
 EDGE = 2.0  # periods of the low-pass that its transient disturbs at both ends
 MOTION = 4.0  # cutoff of the motion, in cutoffs of the rows: the motion drives faster terms
 REWEIGHTINGS = 5
+BLOCK = 1.0  # s of errors that are compared as one
 LEVELLING = 4.0  # s over which the base hardly accelerates in the mean
 
 
@@ -242,10 +244,13 @@ class Score:
         100 ‖e‖/‖y‖ of each coordinate.
     overall : float
         The same of all coordinates together.
+    squares : (M,) float64
+        Squared errors of the rows, summed over the coordinates.
     """
 
     each: FloatArray
     overall: float
+    squares: FloatArray
 
 
 def score(samples: Sampled, predicted: FloatArray) -> Score:
@@ -254,4 +259,24 @@ def score(samples: Sampled, predicted: FloatArray) -> Score:
     force = np.where(used, samples.force, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * np.linalg.norm(error, axis=0) / np.linalg.norm(force, axis=0)
-    return Score(each, float(100.0 * np.linalg.norm(error) / np.linalg.norm(force)))
+    overall = float(100.0 * np.linalg.norm(error) / np.linalg.norm(force))
+    return Score(each, overall, (error**2).sum(axis=1))
+
+
+def error_ratio(found: Score, reference: Score, samples: Sampled) -> tuple[float, float, float]:
+    """Return the ratio of two errors, and the ends of its 90 % interval.
+
+    Errors of neighbouring rows are alike, those of blocks of a second are taken as independent
+    (Cochran 1977, Sampling Techniques, section 6.4, with Student's t for few blocks).
+    """
+    rate = 1.0 / (samples.period * (samples.kept.step or 1))
+    count = max(2, round(len(found.squares) / (BLOCK * rate)))
+    ours, theirs = (
+        np.array([part.sum() for part in np.array_split(one.squares, count)])
+        for one in (found, reference)
+    )
+    ratio = ours.sum() / theirs.sum()
+    spread = np.sqrt(((ours - ratio * theirs) ** 2).sum() * count / (count - 1)) / theirs.sum()
+    margin = student_t.ppf(0.95, count - 1) * spread
+    low, high = max(ratio - margin, 0.0), ratio + margin
+    return float(np.sqrt(ratio)), float(np.sqrt(low)), float(np.sqrt(high))

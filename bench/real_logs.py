@@ -15,14 +15,13 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
 import yaml
 from further_data import FURTHER_DATA
 from laboratory_data import LABORATORY_DATA
-from least_squares import Sampled, Score, columns, sample, score, solve
+from least_squares import Sampled, Score, columns, error_ratio, sample, score, solve
 from real_data import REAL_DATA, FloatArray, MissingDataError, RealLog, to_log, write_files
 from threadpoolctl import threadpool_limits
 
@@ -112,11 +111,22 @@ def report(log: RealLog, options: dict[str, object] | None) -> None:
     force = np.where(rows, heldout.force, 0.0)[:, judged]
     size = np.sqrt((force**2).sum(axis=0) / rows[:, judged].sum(axis=0))
     print("| measured, RMS, Nm or N | " + " | ".join(f"{one:.3g}" for one in size) + " | |")
-    for title, result in chain(
-        references(log, training, heldout), identified(log, heldout, options)
-    ):
+
+    def show(title: str, result: Score) -> None:
         each = " | ".join(f"{one:.3g}" for one in result.each[judged])
         print(f"| {title} | {each} | {result.overall:.3g} |", flush=True)
+
+    for title, reference in references(log, training, heldout):
+        show(title, reference)
+    if options is None:
+        return
+    title, found, notes = identified(log, heldout, options)
+    show(title, found)
+    ratio, low, high = error_ratio(found, reference, heldout)
+    print(
+        f"\nerror over that of the last line of least squares: {ratio:.3g}, "
+        f"{low:.3g} to {high:.3g} in 90 %\n{notes}"
+    )
 
 
 def references(log: RealLog, training: Sampled, heldout: Sampled) -> Iterator[tuple[str, Score]]:
@@ -149,20 +159,21 @@ def references(log: RealLog, training: Sampled, heldout: Sampled) -> Iterator[tu
 
 
 def identified(
-    log: RealLog, heldout: Sampled, options: dict[str, object] | None
-) -> Iterator[tuple[str, Score]]:
-    """Yield the score of an identification."""
-    if options is None:
-        return
+    log: RealLog, heldout: Sampled, options: dict[str, object]
+) -> tuple[str, Score, str]:
+    """Return the title and the score of an identification, and what else is to be said of it."""
     begun = time.perf_counter()
     named = {"contact": [f"{frame}:point" for frame in log.contacts]} if log.contacts else {}
     result = sy.identify(log.robot, to_log(log.robot, log.training), **named | options)
     seconds = time.perf_counter() - begun
     words = ", ".join(f"{name}={value}" for name, value in options.items()) or "default options"
-    yield f"symbid, {words}", score(heldout, predicted_force(result, heldout))
-    print(f"\n{seconds:.0f} s; total mass {sum(one.mass for one in result.links.values()):.2f} kg")
-    for alarm in result.alarms:
-        print(f"ALARM {alarm}")
+    mass = sum(one.mass for one in result.links.values())
+    notes = [
+        f"{seconds:.0f} s; total mass {mass:.2f} kg",
+        *(f"ALARM {one}" for one in result.alarms),
+    ]
+    found = score(heldout, predicted_force(result, heldout))
+    return f"symbid, {words}", found, "\n".join(notes)
 
 
 def predicted_force(result: sy.Result, samples: Sampled) -> FloatArray:

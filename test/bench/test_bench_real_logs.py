@@ -127,10 +127,11 @@ def test_an_identification_is_judged_on_the_samples_of_the_reference(tx40_files)
     log = data.convert(data.find(folder))
     heldout = least_squares.sample(log.robot, log.heldout, log.cutoff)
     options = {"friction": True, "offset": True}
-    ((title, found),) = real_logs.identified(log, heldout, options)
+    title, found, notes = real_logs.identified(log, heldout, options)
     assert title == "symbid, friction=True, offset=True"
     assert found.overall < 1.0
     assert found.each.shape == (6,)
+    assert "total mass" in notes
 
 
 def of(recording):
@@ -426,6 +427,26 @@ def test_rows_of_resting_joints_are_left_out_of_fit_and_score() -> None:
     assert samples.is_used.ravel().tolist() == [True, False, True]
     assert least_squares.solve(np.ones((3, 1, 1)), samples) == pytest.approx(1.0)
     assert least_squares.score(samples, 0.9 * np.ones((3, 1))).overall == pytest.approx(10.0)
+
+
+def test_the_ratio_of_two_errors_has_a_90_percent_interval() -> None:
+    """Errors that are alike within a second, of two estimates that share a part of them."""
+    samples = replace(rows(np.ones((2000, 6)), np.ones((2000, 6))), period=0.01)
+    held = np.arange(2000) // 100
+
+    def errors(size: float, common: np.ndarray) -> least_squares.Score:
+        own = RNG.normal(size=(20, 6))[held]
+        return least_squares.score(samples, samples.force + common + size * own)
+
+    ratios = []
+    for _ in range(400):
+        common = RNG.normal(size=(20, 6))[held]
+        ratios.append(least_squares.error_ratio(errors(0.5, common), errors(1.0, common), samples))
+    _, low, high = np.transpose(ratios)
+    truth = np.sqrt(1.25 / 2.0)
+    assert 0.84 < np.mean((low < truth) & (truth < high)) < 0.96
+    one = errors(1.0, common)
+    assert least_squares.error_ratio(one, one, samples) == pytest.approx((1.0, 1.0, 1.0))
 
 
 def test_absent_files_are_named_with_their_source(tmp_path, monkeypatch) -> None:
