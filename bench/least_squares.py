@@ -25,7 +25,7 @@ ROWS_PER_SECOND = 100.0
 EDGE = 2.0  # periods of the low-pass that its transient disturbs at both ends
 MOTION = 4.0  # cutoff of the motion, in cutoffs of the rows: the motion drives faster terms
 REWEIGHTINGS = 5
-BLOCK = 1.0  # s of errors that are compared as one
+BLOCK, FEWEST_BLOCKS = 1.0, 5  # s of errors that are taken as one, and least number of these
 LEVELLING = 4.0  # s over which the base hardly accelerates in the mean
 
 
@@ -266,11 +266,12 @@ def score(samples: Sampled, predicted: FloatArray) -> Score:
 def error_ratio(found: Score, reference: Score, samples: Sampled) -> tuple[float, float, float]:
     """Return the ratio of two errors, and the ends of its 90 % interval.
 
-    Errors of neighbouring rows are alike, those of blocks of a second are taken as independent
-    (Cochran 1977, Sampling Techniques, section 6.4, with Student's t for few blocks).
+    Errors of neighbouring rows are alike, those of blocks of a second are taken as independent, in
+    short logs those of shorter blocks (Cochran 1977, Sampling Techniques, section 6.4, with
+    Student's t for few blocks).
     """
     rate = 1.0 / (samples.period * (samples.kept.step or 1))
-    count = max(2, round(len(found.squares) / (BLOCK * rate)))
+    count = max(FEWEST_BLOCKS, round(len(found.squares) / (BLOCK * rate)))
     ours, theirs = (
         np.array([part.sum() for part in np.array_split(one.squares, count)])
         for one in (found, reference)
