@@ -106,15 +106,15 @@ def report(log: RealLog, options: dict[str, object] | None) -> None:
         f"{100 * rows[:, judged].mean():.0f} % of the held-out rows used\n"
     )
     names = [log.robot.coordinates[index] for index in judged]
-    print("| held-out error, % | " + " | ".join(names) + " | all |")
+    print("| held-out error, % | all | " + " | ".join(names) + " |")
     print("|---|" + "---|" * (len(names) + 1))
     force = np.where(rows, heldout.force, 0.0)[:, judged]
     size = np.sqrt((force**2).sum(axis=0) / rows[:, judged].sum(axis=0))
-    print("| measured, RMS, Nm or N | " + " | ".join(f"{one:.3g}" for one in size) + " | |")
+    print("| measured, RMS, Nm or N | | " + " | ".join(f"{one:.3g}" for one in size) + " |")
 
     def show(title: str, result: Score) -> None:
         each = " | ".join(f"{one:.3g}" for one in result.each[judged])
-        print(f"| {title} | {each} | {result.overall:.3g} |", flush=True)
+        print(f"| {title} | {result.overall:.3g} | {each} |", flush=True)
 
     for title, reference in references(log, training, heldout):
         show(title, reference)
