@@ -164,9 +164,11 @@ def check_forces(
         ),
     ]
     shown = {name: one for name, one in efforts.items() if name in known or name not in judged}
-    # The gain of one joint may be known alone, and is negative as those of the others then.
-    names_signs_alone = all(one.kind is Kind.TORQUE_SIGN for one in found)
-    if names_signs_alone and not statistics.model.floating and _are_reversed(shown):
+    # The sign of one joint may be known alone, and be that of the others together.
+    signs = [one for one in found if one.kind is Kind.TORQUE_SIGN]
+    named = {each.removesuffix("/gain") for one in signs for each in one.figures}
+    others = {name: one for name, one in shown.items() if name not in named}
+    if signs == found and not statistics.model.floating and _are_reversed(others):
         reversed_gains = {name: gain for name, (gain, _) in efforts.items()}
         found = [sign_finding(joints, reversed_gains, conversions, are_all=True)]
     several = len(found) > MOST_FAULTS and len({one.kind for one in found}) > 1

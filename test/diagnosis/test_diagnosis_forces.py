@@ -265,6 +265,13 @@ def test_joints_that_are_reversed_together_are_all_named(first):
     assert "effort of all joints has the wrong sign; give" in finding.message
 
 
+def test_a_joint_that_is_reversed_alone_does_not_stand_for_the_others():
+    efforts = [-5.0, 0.1, 0.1, 0.1]
+    robot = Robot(efforts=efforts, std=0.32, floating=False, loaded=(False, False))
+    (finding,) = robot.verdict().findings
+    assert set(finding.figures) == {"a/gain"}
+
+
 @pytest.mark.parametrize("common", [0.39, 0.41, 2.45, 2.55])
 def test_gains_that_all_vanish_explain_nothing(common):
     """A fault is one of its sensor only while the others are near the model."""
