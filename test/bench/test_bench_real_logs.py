@@ -433,14 +433,15 @@ def test_the_ratio_of_two_errors_has_a_90_percent_interval() -> None:
     """Errors that are alike within a second, of two estimates that share a part of them."""
     samples = replace(rows(np.ones((2000, 6)), np.ones((2000, 6))), period=0.01)
     held = np.arange(2000) // 100
+    rng = np.random.default_rng(11)  # its own, whichever tests ran before
 
     def errors(size: float, common: np.ndarray) -> least_squares.Score:
-        own = RNG.normal(size=(20, 6))[held]
+        own = rng.normal(size=(20, 6))[held]
         return least_squares.score(samples, samples.force + common + size * own)
 
     ratios = []
     for _ in range(400):
-        common = RNG.normal(size=(20, 6))[held]
+        common = rng.normal(size=(20, 6))[held]
         ratios.append(least_squares.error_ratio(errors(0.5, common), errors(1.0, common), samples))
     _, low, high = np.transpose(ratios)
     truth = np.sqrt(1.25 / 2.0)
